@@ -1,0 +1,1 @@
+"""The model: track, bicycle, LiDAR, faults, controller, closed loop, Gymnasium environment."""

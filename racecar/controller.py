@@ -1,0 +1,249 @@
+"""Controllers: fully connected networks kept in ONNX files.
+
+A controller file takes raw LiDAR distances in metres, float32 ``[batch, rays]``, and
+returns the steering angle in radians, float32 ``[batch, 1]``. Normalisation and scaling are
+part of its layers. The graph is a chain of Gemm nodes, each followed by an activation or
+nothing, so that every verifier can read it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper
+
+from racecar.errors import BadInput
+from racecar.polygon import Array
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
+
+INPUT, OUTPUT = "scan", "steering"
+OPSET, IR_VERSION = 13, 8
+
+_ACTIVATIONS = {"Tanh": "tanh", "Sigmoid": "sigmoid", "Relu": "relu"}
+_OPERATORS = {name: operator for operator, name in _ACTIVATIONS.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """One layer: ``activation(weights @ x + biases)``.
+
+    weights: float32 ``[out, in]``; biases: float32 ``[out]``; activation: "tanh",
+    "sigmoid", "relu" or "linear".
+    """
+
+    weights: NDArray[np.float32]
+    biases: NDArray[np.float32]
+    activation: str
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """A controller's layers (raw distances in, steering out) and its file's metadata."""
+
+    layers: tuple[Layer, ...]
+    metadata: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def rays(self) -> int:
+        """The number of rays that it reads."""
+        return int(self.layers[0].weights.shape[1])
+
+    def steering_rows(self, scan: Array) -> Array:
+        """Return the steering angle ``[batch]`` (rad) for a scan ``[rays, batch]`` (m).
+
+        float64 arithmetic on the float32 weights: up to rounding, the real-valued function
+        that the network means.
+        """
+        x = scan
+        for layer in self._double:
+            x = layer.weights @ x
+            x += layer.biases[:, None]
+            if layer.activation == "tanh":
+                np.tanh(x, out=x)
+            elif layer.activation == "relu":
+                np.maximum(x, 0, out=x)
+            elif layer.activation == "sigmoid":
+                np.reciprocal(1 + np.exp(-x), out=x)
+        return x[0]
+
+    def steering(self, scan: Array) -> Array:
+        """Return the steering angle ``[batch]`` (rad) for a scan ``[batch, rays]`` (m)."""
+        return self.steering_rows(np.ascontiguousarray(np.asarray(scan, dtype=float).T))
+
+    def __post_init__(self) -> None:
+        double = tuple(
+            Layer(layer.weights.astype(float), layer.biases.astype(float), layer.activation)
+            for layer in self.layers
+        )
+        object.__setattr__(self, "_double", double)
+
+    _double: tuple[Layer, ...] = field(init=False, repr=False)
+
+
+def to_model(controller: Controller) -> onnx.ModelProto:
+    """Return the ONNX model of a controller; the same controller gives the same bytes."""
+    nodes, initializers, x = [], [], INPUT
+    last = len(controller.layers) - 1
+    for i, layer in enumerate(controller.layers):
+        weights, biases = f"layer{i}.weight", f"layer{i}.bias"
+        initializers += [
+            numpy_helper.from_array(np.ascontiguousarray(layer.weights), weights),
+            numpy_helper.from_array(np.ascontiguousarray(layer.biases), biases),
+        ]
+        linear = layer.activation == "linear"
+        y = OUTPUT if linear and i == last else f"layer{i}.sum"
+        nodes.append(helper.make_node("Gemm", [x, weights, biases], [y], f"layer{i}", transB=1))
+        if not linear:
+            x, y = y, OUTPUT if i == last else f"layer{i}.out"
+            operator = _OPERATORS[layer.activation]
+            nodes.append(helper.make_node(operator, [x], [y], f"layer{i}.{layer.activation}"))
+        x = y
+    graph = helper.make_graph(
+        nodes,
+        "controller",
+        [helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, ["batch", controller.rays])],
+        [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["batch", 1])],
+        initializers,
+    )
+    model = helper.make_model(
+        graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="ClosedLap"
+    )
+    model.ir_version = IR_VERSION
+    helper.set_model_props(model, dict(sorted(controller.metadata.items())))
+    onnx.checker.check_model(model, full_check=True)
+    return model
+
+
+def save_controller(controller: Controller, path: Path) -> None:
+    """Write a controller's ONNX file, whole or not at all."""
+    write_whole(path, to_model(controller).SerializeToString(deterministic=True))
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file so that it is seen complete or not at all, even after a crash."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.part")
+    part.write_bytes(content)
+    part.replace(path)
+
+
+def load_controller(path: Path) -> Controller:
+    """Read the layers of a controller from its ONNX file.
+
+    Raises BadInput if the file is missing, broken, of another shape than a controller's,
+    holds values that are not finite, or uses operators that are not understood.
+    """
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); give an ONNX file") from None
+    return parse_controller(content, str(path))
+
+
+def parse_controller(content: bytes, where: str) -> Controller:
+    """Read the layers of a controller from the bytes of an ONNX file named ``where``."""
+    try:
+        model = onnx.load_from_string(content)
+        onnx.checker.check_model(model)
+    except Exception:  # protobuf and the checker raise their own types
+        raise BadInput(f"{where}: not a complete ONNX file; export or download it again") from None
+    graph = model.graph
+    values = {t.name: numpy_helper.to_array(t) for t in graph.initializer}
+    inputs = [i for i in graph.input if i.name not in values]
+    if len(inputs) != 1 or len(graph.output) != 1:
+        raise BadInput(
+            f"{where}: a controller has one input and one output; "
+            f"this has {len(inputs)} and {len(graph.output)}"
+        )
+    _check_float(inputs[0], where), _check_float(graph.output[0], where)
+    layers = _read_chain(graph, inputs[0].name, values, where)
+    if layers[-1].weights.shape[0] != 1:
+        raise BadInput(
+            f"{where}: it returns {layers[-1].weights.shape[0]} values; a controller returns 1"
+        )
+    return Controller(layers, {p.key: p.value for p in model.metadata_props})
+
+
+def _check_float(value: onnx.ValueInfoProto, where: str) -> None:
+    tensor = value.type.tensor_type
+    if tensor.elem_type != TensorProto.FLOAT or len(tensor.shape.dim) != 2:
+        raise BadInput(f"{where}: {value.name} is not float32 with shape [batch, n]")
+
+
+def _read_chain(
+    graph: onnx.GraphProto, x: str, values: dict[str, NDArray], where: str
+) -> tuple[Layer, ...]:
+    layers: list[Layer] = []
+    for node in graph.node:
+        if node.input[0] != x or len(node.output) != 1:
+            raise BadInput(f"{where}: node {node.name or node.op_type} is not part of one chain")
+        if node.op_type == "Gemm":
+            layers.append(_read_gemm(node, values, where))
+            width = layers[-2].weights.shape[0] if len(layers) > 1 else None
+            if width is not None and width != layers[-1].weights.shape[1]:
+                raise BadInput(f"{where}: node {node.name} does not fit the layer before it")
+        elif node.op_type in _ACTIVATIONS and layers and layers[-1].activation == "linear":
+            activation = _ACTIVATIONS[node.op_type]
+            layers[-1] = Layer(layers[-1].weights, layers[-1].biases, activation)
+        else:
+            raise BadInput(
+                f"{where}: operator {node.op_type} is not understood here; use Gemm followed by "
+                f"{', '.join(_ACTIVATIONS)} or nothing"
+            )
+        x = node.output[0]
+    if not layers or x != graph.output[0].name:
+        raise BadInput(f"{where}: no chain of layers leads from the input to the output")
+    return tuple(layers)
+
+
+def _read_gemm(node: onnx.NodeProto, values: dict[str, NDArray], where: str) -> Layer:
+    attributes = {a.name: helper.get_attribute_value(a) for a in node.attribute}
+    scaled = attributes.get("alpha", 1.0) != 1.0 or attributes.get("beta", 1.0) != 1.0
+    if scaled or attributes.get("transA", 0):
+        raise BadInput(f"{where}: node {node.name} scales or transposes its input; use plain Gemm")
+    weights = values.get(node.input[1])
+    biases = values.get(node.input[2]) if len(node.input) > 2 else None
+    if weights is None or weights.ndim != 2 or (len(node.input) > 2 and biases is None):
+        raise BadInput(f"{where}: node {node.name} has no constant weights")
+    if not attributes.get("transB", 0):
+        weights = weights.T
+    if biases is None:
+        biases = np.zeros(weights.shape[0], dtype=np.float32)
+    if weights.dtype != np.float32 or biases.dtype != np.float32:
+        raise BadInput(f"{where}: node {node.name} is not float32")
+    if biases.size != weights.shape[0]:
+        raise BadInput(f"{where}: node {node.name} has {biases.size} biases for its neurons")
+    if not (np.isfinite(weights).all() and np.isfinite(biases).all()):
+        raise BadInput(f"{where}: node {node.name} holds values that are not finite (NaN or inf)")
+    return Layer(np.ascontiguousarray(weights), biases.reshape(-1), "linear")
+
+
+def runtime_session(path: Path) -> InferenceSession:
+    """Open a controller in onnxruntime on one CPU core, as the judges do."""
+    import onnxruntime
+
+    load_controller(path)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+
+
+def weights_sha256(controller: Controller) -> str:
+    """Return a hash of layers alone, independent of names and metadata."""
+    digest = hashlib.sha256()
+    for layer in controller.layers:
+        header = {"activation": layer.activation, "shape": layer.weights.shape}
+        digest.update(json.dumps(header, sort_keys=True).encode())
+        digest.update(layer.weights.astype("<f4").tobytes())
+        digest.update(layer.biases.astype("<f4").tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,75 @@
+"""LiDAR faults: missing rays and noise, seeded run by run.
+
+A missing ray reads the LiDAR's range. The paper's pattern (section 6 there): five ray
+indices drawn with replacement at the start of a run and kept for it, active only in the
+turn, and on top noise uniform in [0, 0.2] m at every ray and step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from racecar.closed_loop import Disturb, State
+from racecar.errors import BadInput
+from racecar.polygon import Array
+
+#: The turn, for faults, begins this far (metres) before the corner square.
+TURN_LEAD = 1.0
+
+
+@dataclass(frozen=True)
+class Faults:
+    """A random fault model.
+
+    missing: how many ray indices are drawn (with replacement) for each run; turn_only:
+    whether they are missing only where ``0 < s < W and f <= W + 1``; noise: upper end
+    (metres) of the uniform noise added to every reading, before clipping at the range.
+    """
+
+    missing: int = 0
+    turn_only: bool = True
+    noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.missing < 0:
+            raise BadInput(f"faults: {self.missing} missing rays; give 0 or more")
+        if not 0 <= self.noise < np.inf:
+            raise BadInput(f"faults: noise is {self.noise} m; give 0 or more")
+
+    def disturb(
+        self, rays: int, runs: int, width: float, reach: float, random: np.random.Generator
+    ) -> Disturb:
+        """Draw the faults of ``runs`` runs and return what they do to scans.
+
+        width: of the halls (metres); reach: range of the LiDAR (metres).
+        """
+        gone = np.zeros((rays, runs), dtype=bool)
+        if self.missing:
+            drawn = random.integers(rays, size=(self.missing, runs))
+            gone[drawn, np.arange(runs)] = True
+
+        def apply(step: int, state: State, scan: Array) -> Array:
+            del step
+            if self.noise:
+                scan = np.minimum(scan + self.noise * random.random(scan.shape), reach)
+            if self.missing:
+                active = in_turn(state, width) if self.turn_only else np.ones(runs, dtype=bool)
+                scan = np.where(gone & active, reach, scan)
+            return scan
+
+        return apply
+
+
+def in_turn(state: State, width: float) -> np.ndarray:
+    """Return which cars are in the paper's turn region, where its faults are active."""
+    return (state.s > 0) & (state.s < width) & (state.f <= width + TURN_LEAD)
+
+
+#: Fault models by name, for commands and environments.
+FAULTS = {
+    "none": Faults(),
+    "paper": Faults(missing=5, noise=0.2),
+    "noise": Faults(noise=0.1),
+}
