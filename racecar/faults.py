@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from racecar.closed_loop import Disturb, State
+from racecar.closed_loop import State
 from racecar.errors import BadInput
 from racecar.polygon import Array
 
@@ -38,10 +39,10 @@ class Faults:
         if not 0 <= self.noise < np.inf:
             raise BadInput(f"faults: noise is {self.noise} m; give 0 or more")
 
-    def disturb(
+    def draw(
         self, rays: int, runs: int, width: float, reach: float, random: np.random.Generator
-    ) -> Disturb:
-        """Draw the faults of ``runs`` runs and return what they do to scans.
+    ) -> DrawnFaults:
+        """Draw the faults of ``runs`` runs.
 
         width: of the halls (metres); reach: range of the LiDAR (metres).
         """
@@ -49,20 +50,35 @@ class Faults:
         if self.missing:
             drawn = random.integers(rays, size=(self.missing, runs))
             gone[drawn, np.arange(runs)] = True
-
-        def apply(step: int, state: State, scan: Array) -> Array:
-            del step
-            if self.noise:
-                scan = np.minimum(scan + self.noise * random.random(scan.shape), reach)
-            if self.missing:
-                active = in_turn(state, width) if self.turn_only else np.ones(runs, dtype=bool)
-                scan = np.where(gone & active, reach, scan)
-            return scan
-
-        return apply
+        return DrawnFaults(self, gone, width, reach, random)
 
 
-def in_turn(state: State, width: float) -> np.ndarray:
+@dataclass(frozen=True, eq=False)
+class DrawnFaults:
+    """The faults of a batch of runs; called on each scan in turn (closed_loop.Disturb).
+
+    gone: ``[rays, runs]``, which rays are missing.
+    """
+
+    faults: Faults
+    gone: NDArray[np.bool_]
+    width: float
+    reach: float
+    random: np.random.Generator
+
+    def __call__(self, step: int, state: State, scan: Array) -> Array:
+        """Return the scan ``[rays, runs]`` (metres) with noise added and rays missing."""
+        del step
+        if self.faults.noise:
+            noise = self.faults.noise * self.random.random(scan.shape)
+            scan = np.minimum(scan + noise, self.reach)
+        if self.faults.missing:
+            gone = self.gone & in_turn(state, self.width) if self.faults.turn_only else self.gone
+            scan = np.where(gone, self.reach, scan)
+        return scan
+
+
+def in_turn(state: State, width: float) -> NDArray[np.bool_]:
     """Return which cars are in the paper's turn region, where its faults are active."""
     return (state.s > 0) & (state.s < width) & (state.f <= width + TURN_LEAD)
 

@@ -1,0 +1,1 @@
+"""Trains controllers and emits everything under ``benchmarks/``, ``onnx/`` and ``vnnlib/``."""

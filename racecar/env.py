@@ -1,0 +1,258 @@
+"""Gymnasium environments: ``racecar/Hallway-v0``.
+
+Importing this module registers them; ``gymnasium.make("racecar.env:racecar/Hallway-v0")``
+imports it by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from racecar.bicycle import Bicycle
+from racecar.closed_loop import Plant, State
+from racecar.errors import BadInput
+from racecar.faults import FAULTS, DrawnFaults, Faults
+from racecar.lidar import Lidar
+from racecar.safety import named_property
+from racecar.track import Track, square_track
+
+MAX_STEERING = math.radians(15)
+EPISODE_STEPS = 130
+STEP_REWARD, STEERING_COST, CRASH_REWARD = 10.0, 0.05, -100.0
+
+
+class _Cars:
+    """A batch of cars in training: starts, faults, rewards, ends of episodes."""
+
+    def __init__(
+        self,
+        rays: int,
+        field_of_view: float,
+        faults: str | Faults,
+        slip: bool,
+        track: Track | None,
+    ) -> None:
+        if isinstance(faults, str):
+            if faults not in FAULTS:
+                raise BadInput(f"faults {faults!r} are unknown; choose from {', '.join(FAULTS)}")
+            faults = FAULTS[faults]
+        self.faults = faults
+        lidar = Lidar(rays, field_of_view)
+        self.plant = Plant(track or square_track(), Bicycle(slip=slip), lidar)
+        self.safety = named_property("clearance", self.plant.track)
+        self.scan_space = spaces.Box(0.0, lidar.range, (rays,), np.float32)
+        self.steering_space = spaces.Box(-MAX_STEERING, MAX_STEERING, (1,), np.float32)
+
+    def start(self, count: int, random: np.random.Generator) -> tuple[State, list[DrawnFaults]]:
+        """Draw starts, and for each car the faults of its run."""
+        s = 0.75 + random.uniform(-0.2, 0.2, count)
+        theta = random.uniform(-0.3, 0.3, count)
+        track, lidar = self.plant.track, self.plant.lidar
+        disturbs = [
+            self.faults.draw(lidar.rays, 1, track.width, lidar.range, random)
+            for _ in range(count)
+        ]
+        return State.start(s, 10.0, 0.0, theta), disturbs
+
+    def observe(self, state: State, disturbs: list[DrawnFaults]) -> NDArray[np.float32]:
+        """Return disturbed scans, ``[cars, rays]``."""
+        scan = self.plant.scan_rows(state)
+        columns = [
+            disturb(0, state.take(slice(i, i + 1)), scan[:, i : i + 1])
+            for i, disturb in enumerate(disturbs)
+        ]
+        return np.concatenate(columns, axis=1).T.astype(np.float32)
+
+    def step(
+        self, state: State, steering: NDArray
+    ) -> tuple[State, NDArray[np.float64], NDArray[np.bool_]]:
+        """Drive one control period: next state, reward and crash of each car."""
+        turning = state.f <= self.plant.track.width
+        after, _ = self.plant.drive(state, steering)
+        crashed = self.plant.margin(self.safety, after) <= 0
+        cost = np.where(turning, 0.0, STEERING_COST * np.degrees(steering) ** 2)
+        return self.plant.advance(after), np.where(crashed, CRASH_REWARD, STEP_REWARD - cost), crashed
+
+
+class HallwayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """Drive the F1/10 car around hallways by LiDAR (Ivanov et al., HSCC 2020).
+
+    ## Description
+    The car drives at constant throttle (top speed 2.4 m/s) through hallways 1.5 m wide
+    with 90-degree turns. The agent reads a LiDAR scan ten times a second and steers.
+
+    ## Action Space
+    ``Box(-0.2618, 0.2618, (1,), float32)``: the steering angle in radians (15 degrees to
+    either side, left positive), held for 0.1 s.
+
+    ## Observation Space
+    ``Box(0, 5, (rays,), float32)``:
+
+    | index    | observation                                  | min | max | unit |
+    |----------|----------------------------------------------|-----|-----|------|
+    | 0        | distance along the rightmost ray             | 0   | 5   | m    |
+    | i        | ray at -fov/2 + i fov/(rays - 1)             | 0   | 5   | m    |
+    | rays - 1 | distance along the leftmost ray              | 0   | 5   | m    |
+
+    ## Rewards
+    10 per step, less 0.05 times the square of the steering angle in degrees where the car
+    is not in a turn (f > W when the steering is chosen); -100 for a crash.
+
+    ## Starting State
+    10 m before the front wall at rest; 0.75 m from the left wall, up to 0.2 m off; heading
+    up to 0.3 rad off; all uniform.
+
+    ## Episode End
+    Terminates when the car is 0.3 m or less from a wall (at a control instant). Truncates
+    after 130 steps.
+
+    ## Arguments
+    rays (21), field_of_view (230 degrees, given in radians), faults ("noise": uniform in
+    [0, 0.1] m, as the paper trained; "none", "paper", or a ``racecar.faults.Faults``), slip
+    (False), track (the paper's square).
+
+    ## Version History
+    * v0: first version
+    """
+
+    metadata = {"render_modes": [], "render_fps": 10}  # noqa: RUF012 (Gymnasium's own form)
+
+    def __init__(
+        self,
+        rays: int = 21,
+        field_of_view: float = math.radians(230),
+        faults: str | Faults = "noise",
+        slip: bool = False,
+        track: Track | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None:
+            raise BadInput("Hallway-v0 does not render; draw traces with `racecar plot`")
+        self.render_mode = None
+        self._cars = _Cars(rays, field_of_view, faults, slip, track)
+        self.observation_space = self._cars.scan_space
+        self.action_space = self._cars.steering_space
+        self._state: State | None = None
+        self._disturbs: list[DrawnFaults] = []
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start a run; ``options`` may set ``s``, ``f``, ``v`` and ``theta`` (m, m/s, rad)."""
+        super().reset(seed=seed)
+        state, self._disturbs = self._cars.start(1, self.np_random)
+        given = {"s": state.s, "f": state.f, "v": state.v, "theta": state.theta}
+        unknown = set(options or {}) - set(given)
+        if unknown:
+            raise BadInput(f"reset: options {sorted(unknown)} are unknown; use {sorted(given)}")
+        self._state = State.start(**(given | (options or {})))
+        return self._cars.observe(self._state, self._disturbs)[0], self._info()
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Hold the steering angle ``action`` (radians, clipped to the space) for 0.1 s."""
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset before step")
+        steering = np.clip(np.asarray(action, dtype=float).reshape(1), -MAX_STEERING, MAX_STEERING)
+        self._state, reward, crashed = self._cars.step(self._state, steering)
+        scan = self._cars.observe(self._state, self._disturbs)[0]
+        return scan, float(reward[0]), bool(crashed[0]), False, self._info()
+
+    def _info(self) -> dict[str, Any]:
+        assert self._state is not None
+        return {name: float(getattr(self._state, name)[0]) for name in ("s", "f", "v", "theta")}
+
+
+class HallwayVectorEnv(VectorEnv):
+    """Many hallway environments side by side, one batch of the model (see HallwayEnv)."""
+
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        rays: int = 21,
+        field_of_view: float = math.radians(230),
+        faults: str | Faults = "noise",
+        slip: bool = False,
+        track: Track | None = None,
+        max_episode_steps: int = EPISODE_STEPS,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None:
+            raise BadInput("Hallway-v0 does not render; draw traces with `racecar plot`")
+        self.render_mode = None
+        self._cars = _Cars(rays, field_of_view, faults, slip, track)
+        self.num_envs = num_envs
+        self._limit = max_episode_steps
+        self.single_observation_space = self._cars.scan_space
+        self.single_action_space = self._cars.steering_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._state: State | None = None
+        self._disturbs: list[DrawnFaults] = []
+        self._steps = np.zeros(num_envs, dtype=int)
+        self._over = np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start all runs."""
+        if isinstance(seed, list):
+            seed = next((x for x in seed if x is not None), None)
+        super().reset(seed=seed, options=options)
+        self._state, self._disturbs = self._cars.start(self.num_envs, self.np_random)
+        self._steps[:] = 0
+        self._over[:] = False
+        return self._cars.observe(self._state, self._disturbs), {}
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[
+        NDArray[np.float32],
+        NDArray[np.float64],
+        NDArray[np.bool_],
+        NDArray[np.bool_],
+        dict[str, Any],
+    ]:
+        """Hold the steering angles ``[num_envs, 1]`` for 0.1 s; runs that were over start anew."""
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset before step")
+        steering = np.clip(np.asarray(actions, dtype=float)[:, 0], -MAX_STEERING, MAX_STEERING)
+        anew = self._over
+        self._state, reward, crashed = self._cars.step(self._state, steering)
+        self._steps += 1
+        for i in np.flatnonzero(anew):
+            fresh, disturb = self._cars.start(1, self.np_random)
+            for name in ("frame", "s", "f", "v", "theta"):
+                getattr(self._state, name)[i] = getattr(fresh, name)[0]
+            self._disturbs[i] = disturb[0]
+            self._steps[i] = 0
+        terminated = crashed & ~anew
+        truncated = (self._steps >= self._limit) & ~terminated & ~anew
+        self._over = terminated | truncated
+        reward = np.where(anew, 0.0, reward)
+        scan = self._cars.observe(self._state, self._disturbs)
+        return scan, reward, terminated, truncated, {}
+
+
+def register() -> None:
+    """Register the environments with Gymnasium (done when this module is imported)."""
+    gymnasium.register(
+        id="racecar/Hallway-v0",
+        entry_point="racecar.env:HallwayEnv",
+        vector_entry_point="racecar.env:HallwayVectorEnv",
+        max_episode_steps=EPISODE_STEPS,
+    )
+
+
+register()
