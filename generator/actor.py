@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +15,7 @@ SCAN_CENTRE, SCAN_SCALE = 2.5, 5.0
 
 
 def fold(
-    layers: list[tuple[ArrayLike, ArrayLike, str]], metadata: dict[str, str]
+    layers: Sequence[tuple[ArrayLike, ArrayLike, str]], metadata: dict[str, str]
 ) -> Controller:
     """Return the controller of a network that reads ``(scan - 2.5) / 5`` and gives [-1, 1].
 

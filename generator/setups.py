@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from racecar.errors import BadInput
 
 ALGORITHMS = ("DDPG", "TD3")
-_NAME = re.compile(r"(?P<algorithm>[A-Z0-9]+)_L(?P<rays>\d+)_(?P<hidden>\d+(x\d+)*)_C(?P<index>\d+)")
+_NAME = re.compile(
+    r"(?P<algorithm>[A-Z0-9]+)_L(?P<rays>\d+)_(?P<hidden>\d+(x\d+)*)_C(?P<index>\d+)"
+)
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,5 @@ def parse_setup(name: str) -> Setup:
     hidden = tuple(int(x) for x in match["hidden"].split("x"))
     rays, index = int(match["rays"]), int(match["index"])
     if rays < 2 or index < 1 or min(hidden) < 1:
-        raise BadInput(
-            f"setup {name!r}: it needs at least 2 rays, 1 neuron per layer and index 1"
-        )
+        raise BadInput(f"setup {name!r}: it needs at least 2 rays, 1 neuron per layer and index 1")
     return Setup(match["algorithm"], rays, hidden, index)

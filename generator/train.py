@@ -113,14 +113,14 @@ def train(
             chunk,
             callback=_Progress(lambda done: report(done, total)),
             reset_num_timesteps=False,
-            log_interval=None,
+            log_interval=10**9,
         )
         nominal = drive_nominal(export(model, {}), setup.rays)
         curve.append(
             {
                 "timesteps": model.num_timesteps,
-                "episode_return": _mean([e["r"] for e in model.ep_info_buffer]),
-                "episode_length": _mean([e["l"] for e in model.ep_info_buffer]),
+                "episode_return": _mean([e["r"] for e in model.ep_info_buffer or ()]),
+                "episode_length": _mean([e["l"] for e in model.ep_info_buffer or ()]),
                 "nominal_safe_fraction": nominal.safe_fraction,
                 "nominal_margin": nominal.margin,
                 "seconds": round(time.perf_counter() - began, 1),
@@ -193,7 +193,7 @@ def _checkpoint(model: TD3, curve: list[dict[str, float]], work: Path) -> None:
             "policy": model.policy.state_dict(),
             "optimizers": [model.actor.optimizer.state_dict(), model.critic.optimizer.state_dict()],
             "fields": {name: getattr(model, name, None) for name in _SAVED},
-            "episodes": list(model.ep_info_buffer),
+            "episodes": list(model.ep_info_buffer or ()),
             "buffer": model.replay_buffer,
             "env": model.get_env(),
             "random": (random.getstate(), np.random.get_state(), torch.get_rng_state()),
@@ -222,6 +222,7 @@ def _restore(
     for name, value in state["fields"].items():
         setattr(model, name, value)
     model._setup_learn(0, reset_num_timesteps=False)  # makes the episode buffers
+    assert model.ep_info_buffer is not None
     model.ep_info_buffer.extend(state["episodes"])
     random.setstate(state["random"][0])
     np.random.set_state(state["random"][1])  # noqa: NPY002 (SB3's generator)
@@ -247,7 +248,7 @@ def export_error(model: TD3, controller: Controller, scans: int = 10_000) -> flo
     with torch.no_grad():
         normalised = model.actor(torch.as_tensor(scan)).numpy()[:, 0].astype(float)
     expected = normalised * racecar.env.MAX_STEERING
-    return float(np.abs(controller.steering(scan) - expected).max())
+    return float(np.abs(controller.steering(scan.astype(float)) - expected).max())
 
 
 def write_curve(curve: list[dict[str, float]], path: Path) -> None:

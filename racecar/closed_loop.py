@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,7 +44,9 @@ class State:
         cls, s: ArrayLike, f: ArrayLike = 9.9, v: ArrayLike = 0.0, theta: ArrayLike = 0.0
     ) -> State:
         """Return cars in the first hall; the defaults are the benchmark's start."""
-        arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, float)) for x in (s, f, v, theta)))
+        arrays = np.broadcast_arrays(
+            *(np.atleast_1d(np.asarray(x, float)) for x in (s, f, v, theta))
+        )
         s, f, v, theta = (np.array(x) for x in arrays)
         return cls(np.zeros(s.shape, dtype=np.intp), s, f, v, theta)
 
@@ -83,9 +86,7 @@ class Plant:
 
         The arc, and the returned state, are in the frame that the step began in.
         """
-        arc, theta = self.bicycle.arc(
-            state.s, state.f, state.v, state.theta, steering, self.period
-        )
+        arc, theta = self.bicycle.arc(state.s, state.f, state.v, state.theta, steering, self.period)
         s, f = arc.point(arc.distance)
         v = self.bicycle.speed_after(state.v, self.period)
         return State(state.frame, s, f, v, theta), arc
@@ -137,10 +138,13 @@ class Plant:
             return [(int(kinds[0]), slice(None))]
         return [(int(kind), np.flatnonzero(shape == kind)) for kind in kinds]
 
+    @cached_property
+    def _alike(self) -> NDArray[np.intp]:
+        return self.track.alike
+
     def __post_init__(self) -> None:
         if not self.period > 0:
             raise BadInput(f"plant: the control period is {self.period} s; it must be positive")
-        object.__setattr__(self, "_alike", self.track.alike)
 
 
 @dataclass(frozen=True)

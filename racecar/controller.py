@@ -164,7 +164,8 @@ def parse_controller(content: bytes, where: str) -> Controller:
             f"{where}: a controller has one input and one output; "
             f"this has {len(inputs)} and {len(graph.output)}"
         )
-    _check_float(inputs[0], where), _check_float(graph.output[0], where)
+    _check_float(inputs[0], where)
+    _check_float(graph.output[0], where)
     layers = _read_chain(graph, inputs[0].name, values, where)
     if layers[-1].weights.shape[0] != 1:
         raise BadInput(

@@ -57,8 +57,7 @@ class _Cars:
         theta = random.uniform(-0.3, 0.3, count)
         track, lidar = self.plant.track, self.plant.lidar
         disturbs = [
-            self.faults.draw(lidar.rays, 1, track.width, lidar.range, random)
-            for _ in range(count)
+            self.faults.draw(lidar.rays, 1, track.width, lidar.range, random) for _ in range(count)
         ]
         return State.start(s, 10.0, 0.0, theta), disturbs
 
@@ -79,7 +78,11 @@ class _Cars:
         after, _ = self.plant.drive(state, steering)
         crashed = self.plant.margin(self.safety, after) <= 0
         cost = np.where(turning, 0.0, STEERING_COST * np.degrees(steering) ** 2)
-        return self.plant.advance(after), np.where(crashed, CRASH_REWARD, STEP_REWARD - cost), crashed
+        return (
+            self.plant.advance(after),
+            np.where(crashed, CRASH_REWARD, STEP_REWARD - cost),
+            crashed,
+        )
 
 
 class HallwayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):

@@ -256,4 +256,3 @@ def track_from_turns(
     """
     halls = [Hall(length, turn) for turn in turns]
     return Track(width, tuple(halls if closed else [*halls, Hall(length, None)]), closed)
-

@@ -49,9 +49,7 @@ class Hyperparameters(BaseModel):
         try:
             return float(text.removeprefix("lin_")), text.startswith("lin_")
         except ValueError:
-            raise BadInput(
-                f"learning_rate {text!r}: write a number or lin_ and a number"
-            ) from None
+            raise BadInput(f"learning_rate {text!r}: write a number or lin_ and a number") from None
 
 
 def load_hyperparameters(algorithm: str) -> tuple[Hyperparameters, str]:

@@ -1,0 +1,1 @@
+"""Runs a tool on instances as a separate process, replays witnesses, scores results."""

@@ -1,0 +1,1 @@
+"""The reference verifier: proves or refutes instances; run by the harness like any tool."""
