@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from racecar.controller import Controller, Layer
+from racecar.controller import Controller, Layer, weights_sha256
 
 MAX_STEERING = math.radians(15)
 SCAN_CENTRE, SCAN_SCALE = 2.5, 5.0
@@ -21,7 +21,7 @@ def fold(
 
     layers: (weights ``[out, in]``, biases ``[out]``, activation). Normalisation goes into
     the first layer and the factor of 15 degrees into a last linear layer, computed in
-    float64 and rounded once to float32.
+    float64 and rounded once to float32. A hash of the layers is added to the metadata.
     """
     folded = []
     for i, (weights, biases, activation) in enumerate(layers):
@@ -32,4 +32,5 @@ def fold(
         folded.append(Layer(w.astype(np.float32), b.astype(np.float32), activation))
     scale: NDArray[np.float32] = np.array([[MAX_STEERING]], dtype=np.float32)
     folded.append(Layer(scale, np.zeros(1, dtype=np.float32), "linear"))
-    return Controller(tuple(folded), metadata)
+    sha256 = weights_sha256(Controller(tuple(folded)))
+    return Controller(tuple(folded), metadata | {"weights_sha256": sha256})

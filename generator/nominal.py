@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -30,10 +31,18 @@ class Nominal:
     finishes_turn: bool
     smoothness: float
 
+    @property
+    def label(self) -> Literal["safe", "unsafe"]:
+        """Whether every start kept clear of the walls at all times: "safe" or "unsafe"."""
+        return "safe" if self.safe_fraction == 1.0 else "unsafe"
 
-def drive_nominal(controller: Controller, rays: int) -> Nominal:
-    """Simulate a controller from an odd number of starts across [0.65, 0.85] m."""
-    plant = Plant(square_track(), Bicycle(), Lidar(rays))
+
+def drive_nominal(controller: Controller, field_of_view: float) -> Nominal:
+    """Simulate a controller from an odd number of starts across [0.65, 0.85] m.
+
+    field_of_view: of its LiDAR, radians.
+    """
+    plant = Plant(square_track(), Bicycle(), Lidar(controller.rays, field_of_view))
     safety = named_property("clearance", plant.track)
     start = State.start(np.linspace(0.65, 0.85, STARTS))
     runs = simulate(plant, controller.steering_rows, safety, start, STEPS, record=True)

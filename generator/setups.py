@@ -10,6 +10,7 @@ import re
 from dataclasses import dataclass
 
 from racecar.errors import BadInput
+from racecar.experiment import default_field_of_view
 
 ALGORITHMS = ("DDPG", "TD3")
 _NAME = re.compile(
@@ -34,6 +35,11 @@ class Setup:
     def family(self) -> str:
         """The name without the index: what all seeds share."""
         return f"{self.algorithm}_L{self.rays}_{'x'.join(map(str, self.hidden))}"
+
+    @property
+    def field_of_view(self) -> float:
+        """Of the LiDAR, radians."""
+        return default_field_of_view(self.rays)
 
     @property
     def name(self) -> str:

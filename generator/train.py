@@ -7,15 +7,8 @@ state of every random generator.
 
 from __future__ import annotations
 
-import csv
-import io
-import json
-import platform
-import random
-import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -32,10 +25,12 @@ from torch import nn
 
 import racecar.env
 from generator.actor import SCAN_CENTRE, SCAN_SCALE, fold
-from generator.hyperparams import ENVIRONMENT, Hyperparameters, load_hyperparameters
-from generator.nominal import Nominal, drive_nominal
+from generator.checkpoint import restore_checkpoint, save_checkpoint
+from generator.hyperparams import ENVIRONMENT, Hyperparameters
+from generator.nominal import drive_nominal
+from generator.seeds import CHECKPOINT, Trained
 from generator.setups import Setup
-from racecar.controller import Controller, write_whole
+from racecar.controller import Controller
 
 CHUNK = 5000
 _ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
@@ -68,16 +63,6 @@ class RacecarPolicy(TD3Policy):
         return super().make_critic(features_extractor)
 
 
-@dataclass(frozen=True)
-class Trained:
-    """What a training left: the controller, how it drives, and its learning curve."""
-
-    controller: Controller
-    nominal: Nominal
-    curve: list[dict[str, float]]
-    record: dict[str, Any]
-
-
 class _Progress(BaseCallback):
     def __init__(self, report: Callable[[int], None]) -> None:
         super().__init__()
@@ -92,30 +77,38 @@ class _Progress(BaseCallback):
 def train(
     setup: Setup,
     seed: int,
+    parameters: Hyperparameters,
     work: Path,
     report: Callable[[int, int], None] = lambda done, total: None,
-    timesteps: int | None = None,
+    chunk: int = CHUNK,
 ) -> Trained:
     """Train one seed of a setup, from its checkpoint in ``work`` if there is one.
 
-    report(done, total) is called as steps are done. timesteps: fewer or more than the
-    hyper-parameter file says.
+    report(done, total) is called as steps are done; chunk: steps between checkpoints. Raises
+    BadInput if the checkpoint is broken or was made with other settings.
     """
     torch.set_num_threads(1)
-    parameters, sha256 = load_hyperparameters(setup.algorithm)
-    total = timesteps or parameters.n_timesteps
-    work.mkdir(parents=True, exist_ok=True)
-    model, curve = _restore(setup, parameters, seed, total, work)
+    total = parameters.n_timesteps
+    libraries = {name: version(name) for name in LIBRARIES}
+    settings = {
+        "setup": setup.family,
+        "seed": seed,
+        "hyperparameters": parameters.model_dump(),
+        "libraries": libraries,
+    }
+    model, curve = _make_model(setup, parameters, seed), []
+    checkpoint = work / CHECKPOINT
+    if checkpoint.exists():
+        curve = restore_checkpoint(model, settings, checkpoint)
     while model.num_timesteps < total:
         began = time.perf_counter()
-        chunk = min(CHUNK, total - model.num_timesteps)
         model.learn(
-            chunk,
+            min(chunk, total - model.num_timesteps),
             callback=_Progress(lambda done: report(done, total)),
             reset_num_timesteps=False,
             log_interval=10**9,
         )
-        nominal = drive_nominal(export(model, {}), setup.rays)
+        nominal = drive_nominal(export(model, {}), setup.field_of_view)
         curve.append(
             {
                 "timesteps": model.num_timesteps,
@@ -126,35 +119,30 @@ def train(
                 "seconds": round(time.perf_counter() - began, 1),
             }
         )
-        _checkpoint(model, curve, work)
+        save_checkpoint(model, curve, settings, checkpoint)
         report(model.num_timesteps, total)
     metadata = {
         "setup": setup.family,
         "algorithm": setup.algorithm,
         "seed": str(seed),
         "timesteps": str(total),
-        "hyperparameters_sha256": sha256,
+        "hyperparameters_sha256": parameters.sha256(),
     }
-    metadata |= {name: version(name) for name in LIBRARIES}
-    controller = export(model, metadata)
+    controller = export(model, metadata | libraries)
     error = export_error(model, controller)
     if not error <= EXPORT_TOLERANCE:
         raise RuntimeError(f"the exported network strays {error} rad from the torch actor")
-    nominal = drive_nominal(controller, setup.rays)
-    record = metadata | {
-        "python": platform.python_version(),
-        "hyperparameters": parameters.model_dump(exclude_none=True),
-        "export_error_rad": error,
-    }
-    return Trained(controller, nominal, curve, record)
+    nominal = drive_nominal(controller, setup.field_of_view)
+    return Trained(controller, nominal, curve, libraries, error)
 
 
 def _mean(values: list[float]) -> float:
     return float(np.mean(values)) if values else float("nan")
 
 
-def _make_model(setup: Setup, parameters: Hyperparameters, seed: int, total: int) -> TD3:
-    env = gymnasium.make(ENVIRONMENT, rays=setup.rays)
+def _make_model(setup: Setup, parameters: Hyperparameters, seed: int) -> TD3:
+    env = gymnasium.make(ENVIRONMENT, rays=setup.rays, field_of_view=setup.field_of_view)
+    total = parameters.n_timesteps
     first, falls = parameters.rate()
     arguments = parameters.model_dump(
         exclude_none=True,
@@ -182,54 +170,6 @@ def _make_model(setup: Setup, parameters: Hyperparameters, seed: int, total: int
     return model
 
 
-_SAVED = ("_last_obs", "_last_episode_starts", "_episode_num", "_n_updates", "num_timesteps")
-_STATE = "checkpoint.pt"
-
-
-def _checkpoint(model: TD3, curve: list[dict[str, float]], work: Path) -> None:
-    content = io.BytesIO()
-    torch.save(
-        {
-            "policy": model.policy.state_dict(),
-            "optimizers": [model.actor.optimizer.state_dict(), model.critic.optimizer.state_dict()],
-            "fields": {name: getattr(model, name, None) for name in _SAVED},
-            "episodes": list(model.ep_info_buffer or ()),
-            "buffer": model.replay_buffer,
-            "env": model.get_env(),
-            "random": (random.getstate(), np.random.get_state(), torch.get_rng_state()),
-            "spaces": model.action_space,
-            "curve": curve,
-        },
-        content,
-    )
-    write_whole(work / _STATE, content.getvalue())
-
-
-def _restore(
-    setup: Setup, parameters: Hyperparameters, seed: int, total: int, work: Path
-) -> tuple[TD3, list[dict[str, float]]]:
-    model = _make_model(setup, parameters, seed, total)
-    if not (work / _STATE).exists():
-        return model, []
-    # Our own file; it holds whole Python objects.
-    state = torch.load(work / _STATE, weights_only=False)
-    model.policy.load_state_dict(state["policy"])
-    model.actor.optimizer.load_state_dict(state["optimizers"][0])
-    model.critic.optimizer.load_state_dict(state["optimizers"][1])
-    model.set_env(state["env"], force_reset=False)
-    model.action_space = state["spaces"]
-    model.replay_buffer = state["buffer"]
-    for name, value in state["fields"].items():
-        setattr(model, name, value)
-    model._setup_learn(0, reset_num_timesteps=False)  # makes the episode buffers
-    assert model.ep_info_buffer is not None
-    model.ep_info_buffer.extend(state["episodes"])
-    random.setstate(state["random"][0])
-    np.random.set_state(state["random"][1])  # noqa: NPY002 (SB3's generator)
-    torch.set_rng_state(state["random"][2])
-    return model, state["curve"]
-
-
 def export(model: TD3, metadata: dict[str, str]) -> Controller:
     """Return the controller of a model's actor."""
     linear = [m for m in model.actor.mu if isinstance(m, nn.Linear)]
@@ -249,22 +189,3 @@ def export_error(model: TD3, controller: Controller, scans: int = 10_000) -> flo
         normalised = model.actor(torch.as_tensor(scan)).numpy()[:, 0].astype(float)
     expected = normalised * racecar.env.MAX_STEERING
     return float(np.abs(controller.steering(scan.astype(float)) - expected).max())
-
-
-def write_curve(curve: list[dict[str, float]], path: Path) -> None:
-    """Write a learning curve as CSV."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, curve[0].keys(), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(curve)
-    write_whole(path, text.getvalue().encode())
-
-
-def write_record(record: dict[str, Any], path: Path) -> None:
-    """Write a training record as JSON."""
-    write_whole(path, (json.dumps(record, indent=2) + "\n").encode())
-
-
-def forget(work: Path) -> None:
-    """Remove the checkpoint of a finished training."""
-    shutil.rmtree(work, ignore_errors=True)

@@ -51,13 +51,16 @@ class Hyperparameters(BaseModel):
         except ValueError:
             raise BadInput(f"learning_rate {text!r}: write a number or lin_ and a number") from None
 
+    def sha256(self) -> str:
+        """Return a hash of the values, however the file that they came from is laid out."""
+        return hashlib.sha256(self.model_dump_json(exclude_none=True).encode()).hexdigest()
 
-def load_hyperparameters(algorithm: str) -> tuple[Hyperparameters, str]:
-    """Return an algorithm's hyper-parameters and the sha256 of the file they stand in."""
+
+def load_hyperparameters(algorithm: str) -> Hyperparameters:
+    """Return an algorithm's hyper-parameters."""
     file = resources.files(__name__) / f"{algorithm.lower()}.yml"
-    content = file.read_bytes()
     try:
-        block = yaml.safe_load(content)[ENVIRONMENT]
-        return Hyperparameters.model_validate(block), hashlib.sha256(content).hexdigest()
+        block = yaml.safe_load(file.read_bytes())[ENVIRONMENT]
+        return Hyperparameters.model_validate(block)
     except (yaml.YAMLError, KeyError, ValidationError) as error:
         raise BadInput(f"{file}: not a hyper-parameter file for {ENVIRONMENT}: {error}") from None

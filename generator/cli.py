@@ -1,0 +1,244 @@
+"""The command ``generator``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from generator.categories import CATEGORIES
+from generator.emit import build, load_controllers
+from generator.hyperparams import load_hyperparameters
+from generator.instances import ControllerFile, Question, make_instance
+from generator.progress import progress_bar
+from generator.record import SeedRecord
+from generator.seeds import Train, find_controller, publish
+from generator.setups import parse_setup
+from generator.tree import Differences, check_tree, write_tree
+from generator.yaml_network import import_yaml
+from racecar.command_line import CHECK_FAILED, DONE, Commands, print_json
+from racecar.controller import save_controller
+from racecar.errors import BadInput
+from racecar.experiment import default_field_of_view
+from racecar.instance import save_instance
+from racecar.safety import PROPERTIES
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+
+_FILE = click.Path(path_type=Path, dir_okay=False)
+_FOLDER = click.Path(path_type=Path, file_okay=False)
+_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+def main() -> None:
+    """Train controllers, import them, and emit the instance sets."""
+
+
+@main.command()
+@click.argument("name")
+@click.option("--out", type=_FOLDER, default="onnx", show_default=True, help="For the controller.")
+@click.option(
+    "--work",
+    type=_FOLDER,
+    default="training",
+    show_default=True,
+    help="For each seed's checkpoint and result; run again to go on where it stopped.",
+)
+@click.option("--timesteps", type=click.IntRange(1), help="Steps to train, instead of the file's.")
+@click.option("--max-seeds", type=click.IntRange(1), default=20, show_default=True)
+@_json_option
+def train(
+    name: str, out: Path, work: Path, timesteps: int | None, max_seeds: int, as_json: bool
+) -> int:
+    """Train the controller NAME, such as TD3_L21_64x64_C1.
+
+    Seeds 1, 2, 3, ... are trained until as many as NAME's index have given a controller that
+    finishes the turn in nominal simulation. It is kept whether it is safe or not; its record
+    says which.
+    """
+    setup = parse_setup(name)
+    parameters = load_hyperparameters(setup.algorithm)
+    if timesteps is not None:
+        parameters = parameters.model_copy(update={"n_timesteps": timesteps})
+
+    def tell(record: SeedRecord) -> None:
+        drive = record.nominal
+        turn = "finishes the turn" if drive.finishes_turn else "does not finish the turn"
+        if not as_json:
+            click.echo(
+                f"seed {record.seed}: {turn}; {drive.safe_fraction:.1%} of the nominal starts "
+                f"safe, least margin {drive.margin:.4f} m"
+            )
+
+    with progress_bar(as_json) as report:
+        train_seed = _trainer(lambda seed, *done: report(f"{setup.family} seed {seed}", *done))
+        found = find_controller(setup, parameters, work, max_seeds, train_seed, tell)
+    if found is None:
+        click.echo(
+            f"{name}: {max_seeds} seeds did not give {setup.index} controllers that finish the "
+            "turn; allow more with --max-seeds",
+            err=True,
+        )
+        return CHECK_FAILED
+    record, folder = found
+    files = publish(record, folder, out)
+    if as_json:
+        print_json(record.model_dump(mode="json", exclude_none=True))
+    else:
+        click.echo(f"{name} is seed {record.seed}, {record.label}; wrote {_listed(files)}")
+    return DONE
+
+
+def _trainer(report: Callable[[int, int, int], None]) -> Train:
+    """Return the function that trains a seed; torch is imported here and not before.
+
+    report(seed, done, total) is called as steps are done.
+    """
+    try:
+        from generator.train import train as train_seed  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] not in ("torch", "stable_baselines3"):
+            raise
+        raise BadInput(
+            f"training needs the package {error.name}; install the extra, in the checkout: "
+            "pip install -e '.[train]'"
+        ) from None
+
+    return lambda setup, seed, parameters, folder: train_seed(
+        setup, seed, parameters, folder, partial(report, seed)
+    )
+
+
+@main.command("import-yaml")
+@click.argument("file", type=_FILE)
+@click.option("-o", "--output", type=_FILE, required=True, help="ONNX file to write.")
+@click.option("--name", help="Kept in the file's metadata  [default: the output file's name]")
+@_json_option
+def import_yaml_command(file: Path, output: Path, name: str | None, as_json: bool) -> None:
+    """Import a network FILE in the YAML layout that Verisig reads.
+
+    The network reads (distance - 2.5) / 5 and returns steering / 15 degrees; the ONNX file
+    takes metres and returns radians.
+    """
+    controller = import_yaml(file, name or output.stem)
+    save_controller(controller, output)
+    neurons = [len(layer.biases) for layer in controller.layers[:-1]]
+    if as_json:
+        print_json({"file": str(output), "rays": controller.rays, "neurons": neurons})
+    else:
+        shape = "-".join(str(n) for n in [controller.rays, *neurons])
+        click.echo(f"wrote {output}: {shape} network")
+
+
+@main.command()
+@click.option("--onnx", type=_FILE, required=True, help="The controller.")
+@click.option("--start", nargs=2, required=True, metavar="LO HI", help="Range of s, metres.")
+@click.option(
+    "--property",
+    "safety",
+    type=click.Choice(list(PROPERTIES)),
+    default="clearance",
+    show_default=True,
+)
+@click.option("--steps", type=int, default=70, show_default=True, help="Control periods.")
+@click.option("--front", default="9.9", show_default=True, help="Distance to the front wall, m.")
+@click.option("--speed", default="0", show_default=True, help="m/s")
+@click.option("--heading", default="0", show_default=True, help="Degrees, counter-clockwise.")
+@click.option(
+    "--fov",
+    type=click.FloatRange(0, 360, min_open=True),
+    help="Field of view in degrees  [default: 230, or 270 for 1081 rays]",
+)
+@click.option("--id", "name", help="ID of the instance  [default: the output file's name]")
+@click.option("--category", default="custom", show_default=True)
+@click.option("-o", "--output", type=_FILE, required=True, help="JSON file to write.")
+@_json_option
+def instance(
+    onnx: Path,
+    start: tuple[str, str],
+    safety: str,
+    steps: int,
+    front: str,
+    speed: str,
+    heading: str,
+    fov: float | None,
+    name: str | None,
+    category: str,
+    output: Path,
+    as_json: bool,
+) -> None:
+    """Make one instance for any controller.
+
+    Numbers are kept as they are typed: a number that a double cannot keep is refused.
+    """
+    file = ControllerFile.load(onnx)
+    view = default_field_of_view(file.controller.rays) if fov is None else math.radians(fov)
+    question = Question(name or output.stem, category, start, front, speed, heading, steps, safety)
+    made = make_instance(question, file, view, output)
+    save_instance(made, output)
+    if as_json:
+        print_json({"id": made.id, "file": str(output), "controller": made.controller.file})
+    else:
+        click.echo(f"wrote {output}: {made.id}")
+
+
+@main.command()
+@click.option("--check", is_flag=True, help="Write nothing; status 1 if a file is not current.")
+@click.option(
+    "--category",
+    "names",
+    multiple=True,
+    type=click.Choice(list(CATEGORIES)),
+    help="May be repeated  [default: all]",
+)
+@click.option("--root", type=_FOLDER, default=CHECKOUT, help="Default: the checkout.")
+@_json_option
+def emit(check: bool, names: tuple[str, ...], root: Path, as_json: bool) -> int:
+    """Emit the instance sets of the controllers in ROOT/onnx to ROOT/benchmarks."""
+    categories = [c for c in CATEGORIES.values() if not names or c.name in names]
+    controllers = load_controllers(root)
+    with progress_bar(as_json) as report:
+        emitted = build(root, categories, controllers, partial(report, "instances"))
+    if check:
+        return _show_differences(check_tree(root, emitted), as_json)
+    written, removed = write_tree(root, emitted)
+    table = Table("category", "instances", "files", "written", "removed")
+    for category, folder in zip(categories, emitted.folders, strict=True):
+        prefix = f"{folder}/"
+        row = {
+            "instances": sum(len(list(category.questions(x.name))) for x in controllers),
+            "files": sum(x.startswith(prefix) for x in emitted.tree),
+            "written": sum(x.startswith(prefix) for x in written),
+            "removed": sum(x.startswith(prefix) for x in removed),
+        }
+        if as_json:
+            print_json({"category": category.name} | row)
+        else:
+            table.add_row(category.name, *map(str, row.values()))
+    if not as_json:
+        Console().print(table)
+    return DONE
+
+
+def _show_differences(found: Differences, as_json: bool) -> int:
+    kinds = {"differ": found.differ, "missing": found.missing, "stale": found.stale}
+    if as_json:
+        print_json({"current": not found, **kinds})
+    elif not found:
+        click.echo("all emitted files are current")
+    else:
+        for kind, paths in kinds.items():
+            for path in paths:
+                click.echo(f"{kind}: {path}")
+        click.echo("run `generator emit` to bring them up to date", err=True)
+    return CHECK_FAILED if found else DONE
+
+
+def _listed(files: list[Path]) -> str:
+    return ", ".join(str(file) for file in files)

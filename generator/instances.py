@@ -1,0 +1,113 @@
+"""Instances from a controller and a few numbers that a person gave."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from generator.partition import Bounds, exact_decimal
+from racecar.bicycle import Bicycle
+from racecar.closed_loop import Plant
+from racecar.controller import Controller, parse_controller
+from racecar.instance import Instance, parse_instance, plant_data, property_data, read_text
+from racecar.lidar import Lidar
+from racecar.safety import named_property
+from racecar.track import square_track
+
+
+@dataclass(frozen=True)
+class Question:
+    """What an instance asks of a controller on the paper's track.
+
+    start: bounds of s; front, speed: f (m) and v (m/s); heading: degrees, counter-clockwise;
+    numbers are decimal literals; steps: control periods; safety: name of the property.
+    """
+
+    id: str
+    category: str
+    start: Bounds
+    front: str = "9.9"
+    speed: str = "0"
+    heading: str = "0"
+    steps: int = 70
+    safety: str = "clearance"
+
+
+@dataclass(frozen=True)
+class ControllerFile:
+    """A controller and the file that it came from."""
+
+    path: Path
+    content: bytes
+    controller: Controller
+
+    @classmethod
+    def load(cls, path: Path) -> ControllerFile:
+        """Read a file; BadInput if it is not a controller."""
+        content = read_text(path)
+        return cls(path, content, parse_controller(content, str(path)))
+
+    @property
+    def name(self) -> str:
+        """The file's name without its ending."""
+        return self.path.stem
+
+    @property
+    def sha256(self) -> str:
+        """Of the file."""
+        return hashlib.sha256(self.content).hexdigest()
+
+
+def make_instance(
+    question: Question, file: ControllerFile, field_of_view: float, target: Path
+) -> Instance:
+    """Return the instance that is to lie at ``target``.
+
+    field_of_view: radians. Raises BadInput, naming ``target``, if it would not be valid.
+    """
+    s, f, v = (
+        [float(exact_decimal(x)) for x in bounds]
+        for bounds in (question.start, (question.front,) * 2, (question.speed,) * 2)
+    )
+    theta = math.radians(float(exact_decimal(question.heading)))
+    data = {
+        "id": question.id,
+        "category": question.category,
+        "controller": {
+            "name": file.name,
+            "file": _relative(file.path, target),
+            "sha256": file.sha256,
+        },
+        "plant": _plant(file.controller.rays, field_of_view),
+        "initial_set": {"s": s, "f": f, "v": v, "theta": [theta, theta]},
+        "steps": question.steps,
+        "property": _property(question.safety),
+    }
+    return parse_instance(json.dumps(data), str(target))
+
+
+def benchmark_plant(rays: int, field_of_view: float) -> Plant:
+    """Return the paper's track and car with a LiDAR of so many rays over so many radians."""
+    return Plant(square_track(), Bicycle(), Lidar(rays, field_of_view))
+
+
+@cache
+def _plant(rays: int, field_of_view: float) -> dict[str, Any]:
+    return plant_data(benchmark_plant(rays, field_of_view)).model_dump(mode="json")
+
+
+@cache
+def _property(name: str) -> dict[str, Any]:
+    return property_data(named_property(name, square_track())).model_dump(mode="json")
+
+
+def _relative(path: Path, target: Path) -> str:
+    """Return the way from the folder of ``target`` to ``path``, with forward slashes."""
+    folder, start = path.parent.resolve(), target.parent.resolve()
+    return Path(os.path.relpath(folder / path.name, start)).as_posix()

@@ -1,0 +1,171 @@
+"""The seeds of a setup, one after the other: what each gave, kept in a folder of its own.
+
+Controller i of a setup is the i-th seed, counting 1, 2, 3, ..., whose controller finishes the
+turn, safe or not. What a seed gave is kept, so that C2 need not train again what C1 tried.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import hashlib
+import io
+import platform
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from generator.hyperparams import Hyperparameters
+from generator.nominal import Nominal
+from generator.record import ControllerRecord, SeedRecord, Tried, load_record, save_record
+from generator.setups import Setup
+from racecar.controller import Controller, save_controller, write_whole
+from racecar.errors import BadInput
+
+CONTROLLER, CURVE, RECORD, CHECKPOINT = (
+    "controller.onnx",
+    "curve.csv",
+    "record.json",
+    "checkpoint.pt",
+)
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a training left.
+
+    curve: one row per chunk of the training; libraries: versions, by name; export_error:
+    largest difference (rad) between the controller and the network it was exported from.
+    """
+
+    controller: Controller
+    nominal: Nominal
+    curve: list[dict[str, float]]
+    libraries: dict[str, str]
+    export_error: float
+
+
+#: Trains one seed, in a folder where it may keep a checkpoint.
+Train = Callable[[Setup, int, Hyperparameters, Path], Trained]
+
+
+def find_controller(
+    setup: Setup,
+    parameters: Hyperparameters,
+    work: Path,
+    max_seeds: int,
+    train: Train,
+    tell: Callable[[SeedRecord], None] = lambda record: None,
+) -> tuple[ControllerRecord, Path] | None:
+    """Try seeds until the setup's controller is found.
+
+    work: holds FAMILY/seed_N for each seed; tell: called after each seed. Returns the record
+    and the folder of the seed, or None if ``max_seeds`` seeds did not give enough controllers
+    that finish the turn. Raises BadInput if a folder is in use or holds another training.
+    """
+    tried: list[Tried] = []
+    for seed in range(1, max_seeds + 1):
+        folder = work / setup.family / f"seed_{seed}"
+        record = try_seed(setup, seed, parameters, folder, train)
+        tell(record)
+        tried.append(
+            Tried(
+                seed=seed,
+                finishes_turn=record.nominal.finishes_turn,
+                safe_fraction=record.nominal.safe_fraction,
+            )
+        )
+        if sum(x.finishes_turn for x in tried) == setup.index:
+            fields = record.model_dump() | {"name": setup.name, "tried": tried}
+            return ControllerRecord(label=record.nominal.label, **fields), folder
+    return None
+
+
+def try_seed(
+    setup: Setup, seed: int, parameters: Hyperparameters, folder: Path, train: Train
+) -> SeedRecord:
+    """Return what a seed gave: from its folder, or by training (from a checkpoint there)."""
+    with _only_user(folder):
+        if (folder / RECORD).exists():
+            record = load_record(folder / RECORD, SeedRecord)
+            _check_same(record, parameters, folder)
+        else:
+            trained = train(setup, seed, parameters, folder)
+            record = _keep(setup, seed, parameters, trained, folder)
+        (folder / CHECKPOINT).unlink(missing_ok=True)
+    return record
+
+
+def publish(record: ControllerRecord, folder: Path, out: Path) -> list[Path]:
+    """Copy a found controller, its curve and its record to ``out``; return the files.
+
+    The record comes last: where it lies, the rest is complete. Raises BadInput if another
+    controller of that name is there: names are for ever.
+    """
+    onnx, curve = out / f"{record.name}.onnx", out / f"{record.name}.curve.csv"
+    content = (folder / CONTROLLER).read_bytes()
+    if onnx.exists() and onnx.read_bytes() != content:
+        raise BadInput(
+            f"{onnx}: holds another controller of this name; "
+            f"remove it or choose another --out (the new one is in {folder})"
+        )
+    write_whole(onnx, content)
+    write_whole(curve, (folder / CURVE).read_bytes())
+    save_record(record, out / f"{record.name}.json")
+    return [onnx, curve, out / f"{record.name}.json"]
+
+
+def _keep(
+    setup: Setup, seed: int, parameters: Hyperparameters, trained: Trained, folder: Path
+) -> SeedRecord:
+    save_controller(trained.controller, folder / CONTROLLER)
+    write_whole(folder / CURVE, format_curve(trained.curve).encode())
+    record = SeedRecord(
+        setup=setup.family,
+        seed=seed,
+        sha256=file_sha256(folder / CONTROLLER),
+        nominal=trained.nominal,
+        hyperparameters=parameters,
+        libraries=trained.libraries,
+        python=platform.python_version(),
+        export_error=trained.export_error,
+    )
+    save_record(record, folder / RECORD)
+    return record
+
+
+def _check_same(record: SeedRecord, parameters: Hyperparameters, folder: Path) -> None:
+    if record.hyperparameters != parameters:
+        raise BadInput(
+            f"{folder}: it was trained with other hyper-parameters or timesteps; "
+            "choose another --work or remove it"
+        )
+    if file_sha256(folder / CONTROLLER) != record.sha256:
+        raise BadInput(f"{folder / CONTROLLER}: it is not the one of its record; remove {folder}")
+
+
+def file_sha256(path: Path) -> str:
+    """Return the sha256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@contextmanager
+def _only_user(folder: Path) -> Iterator[None]:
+    """Keep a second process out of a seed's folder; the system frees the lock if we die."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / ".lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise BadInput(f"{folder}: another process trains here; wait for it") from None
+        yield
+
+
+def format_curve(curve: list[dict[str, float]]) -> str:
+    """Return a learning curve as CSV text."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, curve[0].keys(), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(curve)
+    return text.getvalue()

@@ -1,0 +1,165 @@
+"""Trees of emitted files: written, compared with what is there, summed up in a manifest.
+
+A tree is built whole in memory. The one thing that need not repeat on another machine are
+HDF5 files: the last bits of reference traces depend on its mathematical library and on how a
+matrix product is split, and the bytes of any HDF5 file may depend on the HDF5 library. So a
+check compares HDF5 files by content (real numbers of traces to 1e-9, everything else exactly)
+and proves their bytes unharmed by the manifest; all other files are compared byte for byte.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from generator import hdf5
+from racecar.controller import write_whole
+
+#: File contents by path relative to the root, with forward slashes.
+Tree = dict[str, bytes]
+#: A manifest's entries by path: sha256 and size in bytes.
+Entries = dict[str, dict[str, str | int]]
+
+TRACES, TRACE_TOLERANCE = "traces.h5", 1e-9
+#: What lies in an emitted folder and begins with this was made by another command.
+REFERENCE = "reference"
+
+
+@dataclass(frozen=True)
+class Emitted:
+    """What is to lie under a root.
+
+    tree: the files; folders: those that hold nothing else; inputs: files that the tree was
+    made from; manifest: path of the manifest, which covers tree and inputs.
+    """
+
+    tree: Tree
+    folders: tuple[str, ...]
+    inputs: Tree
+    manifest: str
+
+
+@dataclass(frozen=True)
+class Differences:
+    """What a check found; paths relative to the root.
+
+    differ: files with other content than would be emitted; missing: files that would be
+    emitted; stale: files in an emitted folder that would not be.
+    """
+
+    differ: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    stale: list[str] = field(default_factory=list)
+
+    def __bool__(self) -> bool:
+        return bool(self.differ or self.missing or self.stale)
+
+
+def write_tree(root: Path, emitted: Emitted) -> tuple[list[str], list[str]]:
+    """Write what is not there yet and remove what is stale; return both lists of paths.
+
+    The manifest comes last: where it is current, the rest is complete.
+    """
+    written = [path for path, content in emitted.tree.items() if _update(root / path, content)]
+    removed = _stale(root, emitted)
+    for path in removed:
+        (root / path).unlink()
+    for folder in emitted.folders:
+        _remove_empty(root / folder)
+    if _update(root / emitted.manifest, _manifest(root, emitted, emitted.tree)):
+        written.append(emitted.manifest)
+    return written, removed
+
+
+def check_tree(root: Path, emitted: Emitted) -> Differences:
+    """Compare the files under the root with what would be emitted; write nothing."""
+    found = Differences(stale=_stale(root, emitted))
+    equivalent: Tree = {}
+    for path, content in emitted.tree.items():
+        existing = _content(root / path)
+        if existing is None:
+            found.missing.append(path)
+        elif not _same(path, existing, content):
+            found.differ.append(path)
+        else:
+            equivalent[path] = existing
+    existing = _content(root / emitted.manifest)
+    if existing is None:
+        found.missing.append(emitted.manifest)
+    elif existing != _manifest(root, emitted, emitted.tree | equivalent):
+        found.differ.append(emitted.manifest)
+    return found
+
+
+def _same(path: str, existing: bytes, content: bytes) -> bool:
+    if existing == content or not path.endswith(".h5"):
+        return existing == content
+    tolerance = TRACE_TOLERANCE if path.endswith(f"/{TRACES}") else 0.0
+    return not hdf5.differences(existing, content, tolerance)
+
+
+def _manifest(root: Path, emitted: Emitted, tree: Tree) -> bytes:
+    """Return the manifest of a tree; entries for folders that are not ours stay."""
+    entries = _other_entries(root, emitted)
+    for path, content in (tree | emitted.inputs).items():
+        entries[path] = {"sha256": hashlib.sha256(content).hexdigest(), "size": len(content)}
+    return format_json(
+        {"format": "closedlap-manifest", "version": "1.0", "files": dict(sorted(entries.items()))}
+    )
+
+
+def _other_entries(root: Path, emitted: Emitted) -> Entries:
+    """Return the entries of the present manifest about other emitted folders beside ours."""
+    beside = Path(emitted.manifest).parent.as_posix() + "/"
+    try:
+        files = json.loads(_content(root / emitted.manifest) or b"{}")["files"]
+        return {
+            path: entry
+            for path, entry in files.items()
+            if path.startswith(beside)
+            and "/" in path.removeprefix(beside)
+            and not path.startswith(tuple(f"{folder}/" for folder in emitted.folders))
+            and (root / path).exists()
+        }
+    except (ValueError, KeyError, TypeError, AttributeError):  # not a manifest
+        return {}
+
+
+def _stale(root: Path, emitted: Emitted) -> list[str]:
+    stale = []
+    for folder in emitted.folders:
+        for path in sorted((root / folder).rglob("*")):
+            name = path.relative_to(root).as_posix()
+            kept = path.relative_to(root / folder).parts[0].startswith(REFERENCE)
+            if name not in emitted.tree and not kept and (path.is_symlink() or not path.is_dir()):
+                stale.append(name)
+    return stale
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove folders in which nothing is left, the innermost first."""
+    for path in sorted(folder.rglob("*"), reverse=True):
+        if path.is_dir() and not path.is_symlink() and not any(path.iterdir()):
+            path.rmdir()
+
+
+def _update(path: Path, content: bytes) -> bool:
+    """Write a file unless it holds the content already; return whether it was written."""
+    if _content(path) == content:
+        return False
+    write_whole(path, content)
+    return True
+
+
+def _content(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        return None
+
+
+def format_json(data: object) -> bytes:
+    """Return JSON text that ends with a line feed."""
+    return (json.dumps(data, indent=2, allow_nan=False) + "\n").encode()

@@ -1,0 +1,356 @@
+import csv
+import hashlib
+import json
+import os
+from decimal import Decimal
+from itertools import pairwise
+from pathlib import Path
+
+import h5py
+import jsonschema
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from generator.categories import CATEGORIES
+from generator.cli import main
+from generator.emit import build, load_controllers
+from generator.tree import check_tree
+from racecar.closed_loop import State, simulate
+from racecar.instance import load_instance, load_instance_controller, parse_instance
+
+
+def run(root, *arguments):
+    return CliRunner().invoke(main, ["emit", "--root", str(root), *arguments])
+
+
+def files(root):
+    return {
+        path.relative_to(root).as_posix(): path.read_bytes()
+        for path in (root / "benchmarks").rglob("*")
+        if path.is_file()
+    }
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory, add_controller):
+    """A root with one controller, emitted."""
+    root = tmp_path_factory.mktemp("root")
+    add_controller(root)
+    assert run(root).exit_code == 0
+    return root
+
+
+@pytest.fixture
+def small(tmp_path, add_controller):
+    """A root with one controller, of which only the category full_range is emitted."""
+    add_controller(tmp_path)
+    assert run(tmp_path, "--category", "full_range").exit_code == 0
+    return tmp_path
+
+
+def check_small(root):
+    result = run(root, "--check", "--category", "full_range", "--json")
+    return result.exit_code, json.loads(result.stdout)
+
+
+def test_two_roots_get_the_same_bytes(root, tmp_path, add_controller):
+    add_controller(tmp_path)
+    assert run(tmp_path).exit_code == 0
+    assert files(tmp_path) == files(root)
+
+
+def test_what_was_emitted_is_current_and_emitting_again_changes_nothing(root):
+    result = run(root, "--check")
+    assert (result.exit_code, result.stdout) == (0, "all emitted files are current\n")
+    times = {path: path.stat().st_mtime_ns for path in (root / "benchmarks").rglob("*")}
+    rows = [json.loads(line) for line in run(root, "--json").stdout.splitlines()]
+    assert [row["category"] for row in rows] == list(CATEGORIES)
+    assert [(row["written"], row["removed"]) for row in rows] == [(0, 0)] * len(rows)
+    assert {p: p.stat().st_mtime_ns for p in (root / "benchmarks").rglob("*")} == times
+
+
+def test_every_instance_obeys_the_published_schema_and_is_named_once(root):
+    schema = json.loads((root / "benchmarks" / "instance.schema.json").read_bytes())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    ids = []
+    for name, content in files(root).items():
+        if "/json/" in name:
+            instance = json.loads(content)
+            validator.validate(instance)
+            assert name == f"benchmarks/{instance['category']}/json/{instance['id']}.json"
+            ids.append(instance["id"])
+    assert len(ids) == len(set(ids)) == 40 + 100 + 200 + 2
+
+
+def test_the_schema_refuses_what_is_not_an_instance(root):
+    schema = json.loads((root / "benchmarks" / "instance.schema.json").read_bytes())
+    path = next((root / "benchmarks" / "full_range" / "json").iterdir())
+    instance = json.loads(path.read_bytes())
+    del instance["initial_set"]["theta"]
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(instance, schema)
+
+
+def test_instances_csv_names_existing_files_in_vnncomp_columns(root):
+    counts = {}
+    for category in ("closed_loop", "full_range"):
+        folder = root / "benchmarks" / category
+        rows = list(csv.reader((folder / "instances.csv").read_text().splitlines()))
+        counts[category] = len(rows)
+        for onnx, spec, timeout in rows:
+            assert (folder / onnx).samefile(root / "onnx" / "TD3_L5_8_C1.onnx")
+            assert int(timeout) > 0
+            instance = load_instance(folder / spec)
+            assert instance.controller.file == "../" + onnx  # the spec lies one folder deeper
+            assert load_instance_controller(instance, folder / spec).rays == 5
+    assert counts == {"closed_loop": 340, "full_range": 2}
+
+
+def test_subsets_tile_the_range_in_the_files_themselves(root):
+    folder = root / "benchmarks" / "closed_loop" / "json"
+    for width, count in (("5", 40), ("2", 100), ("1", 200)):
+        paths = sorted(folder.glob(f"*.closed_loop.w{width}mm.*.clearance.json"))
+        assert len(paths) == count
+        sets = [
+            json.loads(path.read_text(), parse_float=Decimal)["initial_set"]["s"] for path in paths
+        ]
+        assert (sets[0][0], sets[-1][1]) == (Decimal("0.65"), Decimal("0.85"))
+        for (_, right), (left, _) in pairwise(sets):
+            assert right == left
+            assert float(right) == float(left)
+        assert {b - a for a, b in sets} == {Decimal(width) / 1000}
+
+
+def test_partitions_agree_with_the_instances(root):
+    for category in ("closed_loop", "full_range"):
+        folder = root / "benchmarks" / category
+        seen = 0
+        with h5py.File(folder / "partitions.h5") as file:
+            for partition in file.values():
+                literals = partition["literals"].asstr()[()]
+                np.testing.assert_array_equal(partition["bounds"][()], literals.astype(float))
+                ids = partition["ids/TD3_L5_8_C1"].asstr()[()]
+                properties = partition["properties"].asstr()[()]
+                for bounds, names in zip(partition["bounds"][()], ids, strict=True):
+                    for name, safety in zip(names, properties, strict=True):
+                        instance = load_instance(folder / "json" / f"{name}.json")
+                        assert instance.initial_set.s == tuple(bounds)
+                        assert instance.property.name == safety
+                        seen += 1
+        assert seen == len(list((folder / "json").iterdir()))
+
+
+def test_every_hdf5_object_has_units_and_a_description(root):
+    def has_both(name, item):
+        assert item.attrs["description"], name
+        assert item.attrs["units"], name
+
+    paths = list((root / "benchmarks").rglob("*.h5"))
+    assert len(paths) == 4
+    for path in paths:
+        with h5py.File(path) as file:
+            has_both("/", file)
+            file.visititems(has_both)
+
+
+def test_traces_are_a_run_of_the_closed_loop(root):
+    folder = root / "benchmarks" / "full_range"
+    path = folder / "json" / "TD3_L5_8_C1.full_range.clearance.json"
+    instance = load_instance(path)
+    controller = load_instance_controller(instance, path)
+    plant = instance.make_plant()
+    with h5py.File(folder / "traces.h5") as file:
+        group = file["TD3_L5_8_C1"]
+        data = {name: x[()] for name, x in group.items() if isinstance(x, h5py.Dataset)}
+        margins = {name: x[()] for name, x in group["clearance"].items()}
+        hscc20 = group["hscc20/run"][()]
+    np.testing.assert_allclose(data["s"][:, 0], np.linspace(0.65, 0.85, 21))
+    np.testing.assert_allclose(data["time"], np.arange(71) / 10)
+    start = State.start(data["s"][:, 0])
+    runs = simulate(plant, controller.steering_rows, instance.make_property(), start, 70)
+    assert (runs.crash_step > 0).all()  # this controller drives into the front wall
+    np.testing.assert_allclose(margins["run"], runs.margin, atol=1e-12)
+    np.testing.assert_allclose(np.nanmin(margins["instant"], 1), runs.margin_sampled, atol=1e-12)
+    assert (hscc20 >= margins["run"]).all()
+    for step in range(70):  # step by step, one car at a time: no batch, no simulate()
+        for car in (0, 7, 20):
+            if step >= runs.crash_step[car]:
+                assert np.isnan(data["scan"][car, step]).all()
+                assert np.isnan(data["steering"][car, step])
+                assert np.isnan(margins["period"][car, step])
+                continue
+            state = State(
+                data["frame"][[car], step],
+                *(data[name][[car], step] for name in ("s", "f", "v", "theta")),
+            )
+            scan = plant.scan_rows(state)
+            np.testing.assert_allclose(scan[:, 0], data["scan"][car, step], atol=1e-9)
+            steering = controller.steering_rows(scan)
+            np.testing.assert_allclose(steering[0], data["steering"][car, step], atol=1e-9)
+            after = plant.advance(plant.drive(state, steering)[0])
+            for name in ("frame", "s", "f", "v", "theta"):
+                np.testing.assert_allclose(
+                    getattr(after, name)[0], data[name][car, step + 1], atol=1e-9
+                )
+
+
+def test_the_manifest_sums_every_file_and_the_controllers(root):
+    manifest = json.loads((root / "benchmarks" / "manifest.json").read_bytes())
+    expected = files(root)
+    del expected["benchmarks/manifest.json"]
+    expected["onnx/TD3_L5_8_C1.onnx"] = (root / "onnx" / "TD3_L5_8_C1.onnx").read_bytes()
+    assert manifest["files"] == {
+        name: {"sha256": hashlib.sha256(content).hexdigest(), "size": len(content)}
+        for name, content in expected.items()
+    }
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "full_range/json/TD3_L5_8_C1.full_range.hscc20.json",
+        "full_range/instances.csv",
+        "full_range/partitions.h5",
+        "full_range/traces.h5",
+        "instance.schema.json",
+        "manifest.json",
+    ],
+)
+def test_check_names_a_file_with_one_changed_byte_and_emit_repairs_it(small, name):
+    path = small / "benchmarks" / name
+    original = path.read_bytes()
+    middle = len(original) // 2
+    path.write_bytes(original[:middle] + bytes([original[middle] ^ 1]) + original[middle + 1 :])
+    damaged = path.read_bytes()
+    status, found = check_small(small)
+    assert status == 1
+    assert not found["current"]
+    # In an HDF5 file the byte may lie where nothing is kept; then only the manifest knows.
+    assert {f"benchmarks/{name}", "benchmarks/manifest.json"} & set(found["differ"])
+    assert path.read_bytes() == damaged
+    assert run(small, "--category", "full_range").exit_code == 0
+    assert path.read_bytes() == original
+
+
+def test_check_names_missing_and_extra_files_and_emit_mends_both(small):
+    folder = small / "benchmarks" / "full_range"
+    before = files(small)
+    (folder / "traces.h5").unlink()
+    (folder / "json" / "old.json").write_text("{}")
+    (folder / "more" / "deep").mkdir(parents=True)
+    (folder / "more" / "deep" / "x").write_text("")
+    result = run(small, "--check", "--category", "full_range")
+    assert result.exit_code == 1
+    assert result.stdout.splitlines() == [
+        "missing: benchmarks/full_range/traces.h5",
+        "stale: benchmarks/full_range/json/old.json",
+        "stale: benchmarks/full_range/more/deep/x",
+    ]
+    assert run(small, "--category", "full_range").exit_code == 0
+    assert files(small) == before
+    assert not (folder / "more").exists()
+
+
+def test_traces_may_differ_in_their_last_bits_but_no_more(small):
+    path = small / "benchmarks" / "full_range" / "traces.h5"
+    original = path.read_bytes()
+    for change, status in ((1e-12, 0), (1e-6, 1)):
+        path.write_bytes(original)
+        with h5py.File(path, "r+") as file:
+            file["TD3_L5_8_C1/s"][3, 3] += change
+        manifest = small / "benchmarks" / "manifest.json"
+        content = json.loads(manifest.read_bytes())
+        entry = content["files"]["benchmarks/full_range/traces.h5"]
+        entry["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+        entry["size"] = path.stat().st_size
+        manifest.write_text(json.dumps(content, indent=2) + "\n")
+        assert check_small(small)[0] == status
+
+
+def test_results_of_the_reference_verifier_are_left_alone(small):
+    folder = small / "benchmarks" / "full_range"
+    (folder / "reference.csv").write_text("kept")
+    (folder / "reference").mkdir()
+    (folder / "reference" / "proof.json").write_text("kept")
+    assert check_small(small)[0] == 0
+    assert run(small, "--category", "full_range").exit_code == 0
+    assert (folder / "reference.csv").read_text() == "kept"
+    assert (folder / "reference" / "proof.json").exists()
+
+
+def test_one_category_can_be_emitted_without_touching_another(root, tmp_path, add_controller):
+    add_controller(tmp_path)
+    for category in ("full_range", "closed_loop"):
+        assert run(tmp_path, "--category", category).exit_code == 0
+    assert files(tmp_path) == files(root)  # the manifest too
+    note = tmp_path / "benchmarks" / "closed_loop" / "note"
+    note.write_text("")
+    assert check_small(tmp_path)[0] == 0
+    assert run(tmp_path, "--category", "full_range").exit_code == 0
+    assert note.exists()
+
+
+def test_a_controller_that_goes_takes_its_files_along(small, add_controller):
+    add_controller(small, "DDPG_L5_8_C1", seed=1)
+    assert run(small, "--category", "full_range").exit_code == 0
+    added = small / "benchmarks" / "full_range" / "json" / "DDPG_L5_8_C1.full_range.hscc20.json"
+    assert added.exists()
+    (small / "onnx" / "DDPG_L5_8_C1.onnx").unlink()
+    (small / "onnx" / "DDPG_L5_8_C1.json").unlink()
+    assert check_small(small)[0] == 1
+    assert run(small, "--category", "full_range").exit_code == 0
+    assert not added.exists()
+    assert check_small(small)[0] == 0
+
+
+def test_bad_roots_and_records_give_one_line_and_write_nothing(tmp_path, add_controller):
+    result = run(tmp_path / "nowhere")
+    assert result.exit_code == 2
+    assert "no controller with a training record" in result.stderr
+    path = add_controller(tmp_path)
+    record = path.with_suffix(".json").read_text()
+    for text in (record[:50], "{}", record.replace('"sha256": "', '"sha256": "0')):
+        path.with_suffix(".json").write_text(text)
+        result = run(tmp_path)
+        assert result.exit_code == 2
+        assert result.stderr.startswith(f"error: {path.with_suffix('.json')}: ")
+        assert result.stderr.count("\n") == 1
+    path.with_suffix(".json").write_text(record)
+    path.unlink()
+    assert run(tmp_path).exit_code == 2
+    assert not (tmp_path / "benchmarks").exists()
+
+
+def test_an_unknown_category_is_refused(tmp_path):
+    result = run(tmp_path, "--category", "fun")
+    assert result.exit_code == 2
+    assert "fun" in result.stderr
+
+
+def test_a_file_that_cannot_be_written_gives_one_line(small):
+    if os.geteuid() == 0:
+        target = small / "benchmarks" / "full_range" / "json"
+        for path in target.iterdir():
+            path.unlink()
+        target.rmdir()
+        target.write_text("a file where a folder should be")
+    else:
+        (small / "benchmarks" / "full_range").chmod(0o500)
+    result = run(small, "--category", "full_range")
+    assert result.exit_code == 2
+    assert result.stderr.count("\n") == 1
+
+
+def test_instances_do_not_depend_on_where_the_root_lies(
+    root, tmp_path, monkeypatch, add_controller
+):
+    add_controller(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    category = [CATEGORIES["full_range"]]
+    relative = build(Path(), category, load_controllers(Path()))
+    assert not check_tree(root, relative).differ
+    for path, content in relative.tree.items():
+        if "/json/" in path:
+            assert parse_instance(content, path).controller.file.startswith("../../../onnx/")

@@ -1,0 +1,43 @@
+import math
+
+import pytest
+
+from generator.hyperparams import load_hyperparameters
+from generator.setups import ALGORITHMS, parse_setup
+from racecar.errors import BadInput
+
+
+@pytest.mark.parametrize("name", ["TD3_L21_64x64_C1", "DDPG_L1081_128x128_C12", "TD3_L5_8_C1"])
+def test_names_read_and_print_alike(name):
+    setup = parse_setup(name)
+    assert setup.name == name
+    assert setup.family == name.rpartition("_")[0]
+
+
+def test_a_name_says_how_to_train():
+    setup = parse_setup("DDPG_L41_64x32x16_C3")
+    assert (setup.algorithm, setup.rays, setup.hidden, setup.index) == ("DDPG", 41, (64, 32, 16), 3)
+
+
+def test_a_full_scan_covers_270_degrees_and_the_others_230():
+    for name, degrees in (("TD3_L1081_64x64_C1", 270), ("TD3_L61_64x64_C1", 230)):
+        assert math.degrees(parse_setup(name).field_of_view) == pytest.approx(degrees, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "TD3", "PPO_L21_64x64_C1", "TD3_L1_64x64_C1", "TD3_L21_0x64_C1", "TD3_L21_64x64_C0",
+     "TD3_L21_64x64", "TD3_L21_64x64_C1 ", "td3_L21_64x64_C1", "TD3_L21_64x_C1"],
+)  # fmt: skip
+def test_other_names_are_refused(name):
+    with pytest.raises(BadInput):
+        parse_setup(name)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_hyperparameters_hash_alike_only_if_equal(algorithm):
+    parameters = load_hyperparameters(algorithm)
+    assert parameters.sha256() == load_hyperparameters(algorithm).sha256()
+    assert parameters.sha256() != parameters.model_copy(update={"gamma": 0.9}).sha256()
+    assert parameters.n_timesteps == 100_000
+    assert parameters.rate() == (1e-3, True)
