@@ -1,0 +1,252 @@
+"""The benchmarks folder: categories, their instances, and the reference results.
+
+- CATEGORY/instances.csv: onnx, spec, timeout; no header; paths relative to CATEGORY
+- CATEGORY/reference.csv: a header with instance, verdict, margin_lower, margin_upper, ...
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+import os
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import harness
+from harness.records import Verdict
+from racecar.errors import BadInput
+
+INSTANCES, REFERENCE = "instances.csv", "reference.csv"
+#: Timeout, in seconds, of an instance that stands in no instances.csv.
+DEFAULT_TIMEOUT_S = 60.0
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]{0,199}")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One instance to run: its files and its time limit in seconds."""
+
+    id: str
+    category: str
+    onnx: Path
+    spec: Path
+    timeout: float
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A reference result: a verdict, and a bracket on the true margin (m) where known.
+
+    margin_lower: proved; margin_upper: of the best replayed witness.
+    """
+
+    verdict: Verdict
+    margin_lower: float | None = None
+    margin_upper: float | None = None
+
+    @property
+    def proves_sat(self) -> bool:
+        """Whether it is sat, with a witness that reaches the unsafe set."""
+        upper = self.margin_upper
+        return self.verdict is Verdict.SAT and upper is not None and upper <= 0
+
+
+def find_root(option: Path | None) -> Path | None:
+    """Return the benchmarks folder: the one given, ./benchmarks, or the source checkout's.
+
+    None if there is none; BadInput if the one given is no folder.
+    """
+    if option is not None:
+        if not option.is_dir():
+            raise BadInput(f"{option}: there is no benchmarks folder")
+        return option.resolve()
+    beside = Path(harness.__file__).resolve().parents[1] / "benchmarks"
+    for folder in (Path("benchmarks"), beside):
+        if folder.is_dir():
+            return folder.resolve()
+    return None
+
+
+def require_root(option: Path | None) -> Path:
+    """Return the benchmarks folder; BadInput if there is none."""
+    root = find_root(option)
+    if root is None:
+        raise BadInput(
+            "no benchmarks folder: neither ./benchmarks nor one beside the harness is there; "
+            "give one with --benchmarks DIR"
+        )
+    return root
+
+
+def category_names(root: Path) -> list[str]:
+    """Return the names of the categories."""
+    return sorted(path.parent.name for path in root.glob(f"*/{INSTANCES}"))
+
+
+def load_category(root: Path, name: str) -> list[Entry]:
+    """Return the instances of a category in the order of its file; BadInput if it is broken."""
+    known = category_names(root)
+    if name not in known:
+        there = f"choose one of {', '.join(known)}" if known else "it holds no category"
+        raise BadInput(f"category {name!r} is unknown in {root}; {there}")
+    folder = root / name
+    file = folder / INSTANCES
+    entries = []
+    for line, row in _rows(file):
+        where = f"{file}, line {line}"
+        if len(row) != 3:
+            raise BadInput(f"{where}: {len(row)} columns; it must have onnx, spec, timeout")
+        onnx, spec = (Path(os.path.normpath(folder / part.strip())) for part in row[:2])
+        for path in (onnx, spec):
+            if not path.is_file():
+                raise BadInput(f"{where}: there is no file {path}")
+        if not _NAME.fullmatch(spec.stem):
+            raise BadInput(f"{where}: {spec.stem!r} does not serve as an instance's ID")
+        entries.append(Entry(spec.stem, name, onnx, spec, _timeout(row[2], where)))
+    return entries
+
+
+def _timeout(text: str, where: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not (math.isfinite(seconds) and seconds > 0):
+        raise BadInput(f"{where}: timeout {text!r} is not a positive number of seconds")
+    return seconds
+
+
+def load_file(path: Path) -> Entry:
+    """Return the instance of a JSON file that need not stand in a category."""
+    # Slow to import, and needed for loose files only.
+    from racecar.instance import (  # noqa: PLC0415
+        controller_path,
+        load_instance,
+        load_instance_controller,
+    )
+
+    instance = load_instance(path)
+    load_instance_controller(instance, path)
+    onnx, spec = controller_path(instance, path).resolve(), path.resolve()
+    return Entry(instance.id, instance.category, onnx, spec, DEFAULT_TIMEOUT_S)
+
+
+def select(root: Path | None, categories: Sequence[str], instances: Sequence[str]) -> list[Entry]:
+    """Return the instances of the categories and those named, each once.
+
+    categories, instances: names of categories, and instance files or IDs of instances in the
+    benchmarks; with neither, everything there is. root: may be None where only files are
+    named. BadInput says what cannot be found, or that two instances have one ID.
+    """
+    entries: list[Entry] = []
+    names: Sequence[str] = categories
+    if root is not None:
+        names = categories or ([] if instances else category_names(root))
+        if not names and not instances:
+            raise BadInput(f"{root}: it holds no category; give another with --benchmarks DIR")
+        entries += [entry for name in dict.fromkeys(names) for entry in load_category(root, name)]
+    elif categories or not instances:
+        raise BadInput("no benchmarks folder; give one with --benchmarks DIR")
+    entries += _named(root, instances)
+    if not entries:
+        raise BadInput(f"{root}: there is no instance to run in {', '.join(names)}")
+    unique: dict[str, Entry] = {}
+    for entry in entries:
+        other = unique.setdefault(entry.id, entry)
+        if other.spec != entry.spec:
+            raise BadInput(f"{other.spec} and {entry.spec} are instances with the same ID")
+    return list(unique.values())
+
+
+def _named(root: Path | None, instances: Sequence[str]) -> Iterable[Entry]:
+    known: list[Entry] | None = None
+    for text in instances:
+        path = Path(text).resolve()
+        if path.is_file() and not (root and path.is_relative_to(root)):
+            yield load_file(path)
+            continue
+        if known is None:
+            known = _everything(root) if root else []
+        entry = next((e for e in known if e.spec == path or e.id == text), None)
+        if entry is not None:
+            yield entry
+        elif path.is_file():
+            yield load_file(path)
+        else:
+            where = f"nor an instance of {root}" if root else "and there is no benchmarks folder"
+            raise BadInput(f"instance {text}: there is no such file, {where}")
+
+
+def _everything(root: Path) -> list[Entry]:
+    return [entry for name in category_names(root) for entry in load_category(root, name)]
+
+
+def relative(path: Path, root: Path | None) -> str:
+    """Return a path relative to the benchmarks folder, with forward slashes.
+
+    A file that lies neither below the folder nor below its parent is named by its full path.
+    """
+    if root is None or not path.is_relative_to(root.parent):
+        return path.as_posix()
+    return Path(os.path.relpath(path, root)).as_posix()
+
+
+def sha256(path: Path) -> str:
+    """Return the sha256 of a file; BadInput if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror})") from None
+
+
+def load_references(root: Path) -> dict[str, Reference]:
+    """Return the reference results of all categories, by instance ID."""
+    found: dict[str, Reference] = {}
+    for name in category_names(root):
+        file = root / name / REFERENCE
+        if not file.is_file():
+            continue
+        rows = iter(_rows(file))
+        _, header = next(rows, (1, []))
+        if not {"instance", "verdict", "margin_lower", "margin_upper"} <= set(header):
+            raise BadInput(
+                f"{file}, line 1: the header must name "
+                "instance, verdict, margin_lower and margin_upper"
+            )
+        for line, row in rows:
+            where = f"{file}, line {line}"
+            if len(row) != len(header):
+                raise BadInput(f"{where}: {len(row)} columns, but the header has {len(header)}")
+            data = dict(zip(header, row, strict=True))
+            found[data["instance"]] = _reference(data, where)
+    return found
+
+
+def _reference(data: dict[str, str], where: str) -> Reference:
+    allowed = (Verdict.SAT, Verdict.UNSAT, Verdict.UNKNOWN)
+    if data["verdict"] not in allowed:
+        raise BadInput(f"{where}: verdict is {data['verdict']!r}; it must be sat, unsat or unknown")
+    try:
+        lower, upper = (
+            float(data[column]) if data[column].strip() else None
+            for column in ("margin_lower", "margin_upper")
+        )
+    except ValueError:
+        raise BadInput(f"{where}: a margin is not a number") from None
+    return Reference(Verdict(data["verdict"]), lower, upper)
+
+
+def _rows(file: Path) -> Iterable[tuple[int, list[str]]]:
+    """Yield the line number and the fields of every line that is not blank."""
+    try:
+        with file.open(encoding="utf-8", newline="") as text:
+            reader = csv.reader(text, strict=True)
+            for row in reader:
+                if any(field.strip() for field in row):
+                    yield reader.line_num, row
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BadInput(f"{file}: cannot be read ({error})") from None

@@ -1,0 +1,107 @@
+"""Turn run folders into claims: every sat with a check of exactly the witness that is there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from harness.catalogue import Reference, load_references, sha256
+from harness.checks import witness_check
+from harness.records import Record, WitnessCheck
+from harness.scoring import Claim
+from harness.store import RunFolder
+from racecar.errors import BadInput
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the scoring needs.
+
+    notes: what a reader should know about it, one line each.
+    """
+
+    claims: list[Claim]
+    references: dict[str, Reference]
+    notes: list[str]
+
+
+def gather(folders: Sequence[RunFolder], root: Path | None, recheck: bool = False) -> Evidence:
+    """Read runs and reference results.
+
+    recheck: replay every witness again. A witness that has no check, or was changed since, is
+    replayed in any case, from the instances in ``root``. BadInput if a tool has two results
+    for an instance, or if runs were made on different versions of it.
+    """
+    claims: dict[tuple[str, str], Claim] = {}
+    versions: dict[str, Record] = {}
+    for folder in folders:
+        for record in folder.records():
+            key = (record.tool, record.instance)
+            if key in claims:
+                raise BadInput(
+                    f"{folder.path}: tool {record.tool} already has a result for "
+                    f"{record.instance}; leave one run out, or run it under another --name"
+                )
+            other = versions.setdefault(record.instance, record)
+            if _identity(other) != _identity(record):
+                raise BadInput(
+                    f"{folder.path}: {record.instance} is another version of the instance than "
+                    "in the runs before; runs can be compared on the same files only"
+                )
+            claims[key] = _claim(record, witness_check(folder, record, root, recheck))
+    if not claims:
+        raise BadInput("there is no result in " + ", ".join(str(f.path) for f in folders))
+    references, notes = _references(versions, root)
+    return Evidence(list(claims.values()), references, notes + _unequal_limits(claims.values()))
+
+
+def _identity(record: Record) -> tuple[str, ...]:
+    return record.category, record.spec_sha256, record.onnx_sha256
+
+
+def _claim(record: Record, check: WitnessCheck | None) -> Claim:
+    return Claim(
+        tool=record.tool,
+        category=record.category,
+        instance=record.instance,
+        verdict=record.verdict,
+        run_time=record.run_time,
+        timeout=record.limits.wall_s,
+        witness=check.outcome if check else None,
+    )
+
+
+def _references(
+    versions: Mapping[str, Record], root: Path | None
+) -> tuple[dict[str, Reference], list[str]]:
+    """Return the reference results of exactly the instances that were run."""
+    if root is None:
+        return {}, ["no benchmarks folder, so there are no reference results to compare with"]
+    references, changed = {}, []
+    everything = load_references(root)
+    for instance, record in versions.items():
+        reference = everything.get(instance)
+        if reference is None:
+            continue
+        spec = root / record.spec
+        if spec.is_file() and sha256(spec) == record.spec_sha256:
+            references[instance] = reference
+        else:
+            changed.append(instance)
+    if not changed:
+        return references, []
+    return references, [
+        f"{len(changed)} instances ({changed[0]}, ...) are another version than {root} holds; "
+        "their reference results are not used"
+    ]
+
+
+def _unequal_limits(claims: Iterable[Claim]) -> list[str]:
+    """Note the categories in which the tools did not have the same time."""
+    limits: dict[str, float] = {}
+    unequal: dict[str, None] = {}
+    for claim in claims:
+        if limits.setdefault(claim.instance, claim.timeout) != claim.timeout:
+            unequal[claim.category] = None
+    return [f"{category}: the tools were given different time limits" for category in unequal]

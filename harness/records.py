@@ -1,0 +1,197 @@
+"""What a run leaves behind, as typed data: results, witness checks, the run itself.
+
+Result codes are VNN-COMP 2026's, exactly.
+"""
+
+from __future__ import annotations
+
+import re
+from enum import StrEnum
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+#: One file name: no folder, nothing hidden.
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=200)]
+Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Data(BaseModel):
+    """Base of all files that the harness writes: unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Verdict(StrEnum):
+    """What a result counts as."""
+
+    SAT = "sat"
+    UNSAT = "unsat"
+    UNKNOWN = "unknown"
+    TIMEOUT = "timeout"
+    ERROR = "error"
+
+
+RUN_TIMEOUT = "run_instance_timeout"
+PREPARE_TIMEOUT = "prepare_instance_timeout"
+PREPARE_ERROR = "prepare_instance_error_"
+RUN_ERROR = "error_exit_code_"
+NO_RESULT = "no_result_in_file"
+
+_CODES = {
+    **{str(verdict): verdict for verdict in Verdict},
+    RUN_TIMEOUT: Verdict.TIMEOUT,
+    PREPARE_TIMEOUT: Verdict.TIMEOUT,
+    NO_RESULT: Verdict.UNKNOWN,
+}
+_PREFIXES = {PREPARE_ERROR: Verdict.UNKNOWN, RUN_ERROR: Verdict.ERROR}
+
+
+def verdict_of(result: str) -> Verdict:
+    """Return what a result code counts as, by VNN-COMP's rules; ValueError for other text."""
+    if result in _CODES:
+        return _CODES[result]
+    for prefix, verdict in _PREFIXES.items():
+        if re.fullmatch(prefix + r"\d+", result):
+            return verdict
+    raise ValueError(f"{result!r} is not a result code")
+
+
+class WitnessOutcome(StrEnum):
+    """What the independent replay of a witness found."""
+
+    CORRECT = "correct"
+    CORRECT_WITH_TOLERANCE = "correct_with_tolerance"
+    WRONG = "wrong"
+    OUT_OF_BOX = "out_of_box"
+    MALFORMED = "malformed"
+    MISSING = "missing"
+
+    @property
+    def sentence(self) -> str:
+        """What the outcome means."""
+        return _SENTENCES[self]
+
+    @property
+    def credited(self) -> bool:
+        """Whether the tool earns the points of its ``sat``."""
+        return self in (WitnessOutcome.CORRECT, WitnessOutcome.CORRECT_WITH_TOLERANCE)
+
+    @property
+    def establishes_sat(self) -> bool:
+        """Whether the instance is thereby known to be sat."""
+        return self is WitnessOutcome.CORRECT
+
+
+_SENTENCES = {
+    WitnessOutcome.CORRECT: "The start lies in the initial set and the car enters the unsafe set.",
+    WitnessOutcome.CORRECT_WITH_TOLERANCE: (
+        "The car enters the unsafe set only up to the tolerance: "
+        "the tool is credited, the instance is not thereby known to be sat."
+    ),
+    WitnessOutcome.WRONG: "The car stays out of the unsafe set from this start.",
+    WitnessOutcome.OUT_OF_BOX: "The start lies outside the initial set by more than the tolerance.",
+    WitnessOutcome.MALFORMED: "The witness cannot be read as a start state of finite numbers.",
+    WitnessOutcome.MISSING: "There is no witness.",
+}
+
+
+class WitnessCheck(Data):
+    """The independent check of one witness.
+
+    margin (m) is the replayed run's least margin in continuous time, outside the largest
+    distance of a coordinate from the initial set in its own unit (0: inside); both are null
+    when there was nothing to replay.
+    """
+
+    format: Literal["closedlap-witness-check"] = "closedlap-witness-check"
+    version: Literal["1.0"] = "1.0"
+    instance: Name
+    outcome: WitnessOutcome
+    message: str
+    margin: float | None = None
+    outside: float | None = None
+    witness_sha256: Sha256
+    spec_sha256: Sha256
+    onnx_sha256: Sha256
+    checked_with: dict[str, str] = Field(description="versions of the programs that judged")
+
+    @property
+    def credited(self) -> bool:
+        """Whether the tool earns the points of its ``sat``."""
+        return self.outcome.credited
+
+    @property
+    def establishes_sat(self) -> bool:
+        """Whether the instance is thereby known to be sat."""
+        return self.outcome.establishes_sat
+
+
+class Limits(Data):
+    """Which limits were asked for, which were kept, and by what means."""
+
+    wall_s: Seconds = Field(description="asked: the instance's timeout, given to the tool")
+    wall_end_s: Seconds = Field(description="kept: the tool is told to end then")
+    wall_kill_s: Seconds = Field(description="kept: whatever is alive then is killed")
+    prepare_wall_s: Seconds
+    cpu_s: Seconds | None = Field(default=None, description="null: not limited")
+    memory_mib: Seconds | None = Field(default=None, description="null: not limited")
+    kept_by: str = Field(description="means by which descendants are found")
+
+
+class Record(Data):
+    """What one tool did on one instance."""
+
+    format: Literal["closedlap-result"] = "closedlap-result"
+    version: Literal["1.0"] = "1.0"
+    instance: Name
+    category: Name
+    onnx: str = Field(description="relative to the benchmarks folder")
+    spec: str = Field(description="relative to the benchmarks folder")
+    onnx_sha256: Sha256
+    spec_sha256: Sha256
+    tool: Name
+    tool_version: str | None
+    command: list[str]
+    started_at: str = Field(description="UTC, ISO 8601")
+    prepare_time: Seconds = Field(description="wall, s")
+    run_time: Seconds = Field(description="wall, s")
+    cpu_time: Seconds = Field(description="of run_instance.sh and all it started, s")
+    max_memory_mib: float = Field(description="of the largest single process, MiB")
+    result: str
+    verdict: Verdict
+    detail: str | None = Field(default=None, description="why, where the code does not say it")
+    limits: Limits
+    witness: Name | None = Field(default=None, description="file name below witnesses/")
+    log: Name = Field(description="file name below logs/")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if verdict_of(self.result) is not self.verdict:
+            raise ValueError(f"verdict is {self.verdict}, but result is {self.result}")
+        if self.run_time > self.limits.wall_s and self.verdict in (Verdict.SAT, Verdict.UNSAT):
+            raise ValueError(f"result is {self.result}, but run_time is above the limit")
+        return self
+
+
+class ToolInfo(Data):
+    """Which tool ran."""
+
+    name: Name
+    version: str | None
+    folder: str
+    scripts_sha256: Sha256 = Field(description="of the tool's scripts together")
+
+
+class RunInfo(Data):
+    """What a whole run shares."""
+
+    format: Literal["closedlap-run"] = "closedlap-run"
+    version: Literal["1.0"] = "1.0"
+    tool: ToolInfo
+    benchmarks: str | None
+    timeout_s: Seconds | None = Field(description="of every instance, where one was asked for")
+    created_at: str = Field(description="UTC, ISO 8601")
+    harness_version: str
+    machine: dict[str, str | int | float | None]

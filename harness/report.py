@@ -1,0 +1,172 @@
+"""Tables, progress and warnings for people.
+
+rich is imported when something is printed: with --json it never is.
+"""
+
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from harness.records import Record, Verdict, WitnessCheck, WitnessOutcome
+from harness.scoring import OVERALL, Conflict, Contradiction, Row, Scores
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+#: Columns where the output is not a terminal, so that IDs stay in one piece.
+_WIDE = 200
+_STYLES = {
+    Verdict.SAT: "red",
+    Verdict.UNSAT: "green",
+    Verdict.UNKNOWN: "yellow",
+    Verdict.TIMEOUT: "yellow",
+    Verdict.ERROR: "bold red",
+}
+
+
+def _console(stderr: bool = False) -> Console:
+    from rich.console import Console
+
+    stream = sys.stderr if stderr else sys.stdout
+    return Console(stderr=stderr, width=None if stream.isatty() else _WIDE, highlight=False)
+
+
+class ProgressBar:
+    """A progress bar on standard error; nothing where that is no terminal or ``quiet``.
+
+    total, completed: instances in all, and those that an earlier run did.
+    """
+
+    def __init__(self, total: int, completed: int, quiet: bool) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+        from rich.progress import TimeElapsedColumn as Elapsed
+
+        self._bar = Progress(
+            MofNCompleteColumn(),
+            BarColumn(),
+            Elapsed(),
+            TextColumn("{task.description}"),
+            console=_console(stderr=True),
+            disable=quiet or not sys.stderr.isatty(),
+            transient=True,
+        )
+        self._task = self._bar.add_task("", total=total, completed=completed)
+
+    def begin(self, instance: str) -> None:
+        """Show which instance runs now."""
+        self._bar.update(self._task, description=instance)
+
+    def advance(self) -> None:
+        """Count one instance as done."""
+        self._bar.advance(self._task)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+
+def print_results(results: Iterable[tuple[Record, WitnessCheck | None]]) -> None:
+    """Print a table of results: instance, verdict, time, witness check."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("instance", no_wrap=True)
+    table.add_column("verdict")
+    table.add_column("time, s", justify="right")
+    table.add_column("witness check")
+    for record, check in results:
+        verdict = Text(record.verdict, style=_STYLES[record.verdict])
+        if record.result != record.verdict:
+            verdict.append(f" ({record.result})", style="dim")
+        note = Text(record.detail or "", style="dim")
+        if check is not None:
+            style = "" if check.credited else "bold red"
+            note = Text(f"{check.outcome}: {check.message}", style=style)
+        table.add_row(record.instance, verdict, f"{record.run_time:.2f}", note)
+    _console().print(table)
+
+
+def print_scores(scores: Scores) -> None:
+    """Print the score table, the unique solves and what is at odds."""
+    from rich.table import Table
+
+    single = len({row.category for row in scores.rows}) == 2
+    rows = [row for row in scores.rows if not (single and row.category == OVERALL)]
+    columns = [*_COLUMNS, *(name for name in _RARE if any(_cell(row, name) != "0" for row in rows))]
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for name in columns:
+        table.add_column(name, no_wrap=True, justify="left" if name in _COLUMNS[:2] else "right")
+    for row in rows:
+        cells = [_cell(row, name) for name in columns]
+        table.add_row(*cells, style="bold" if row.category == OVERALL else "")
+    console = _console()
+    # Numbers are never cut short; a narrow terminal wraps the lines.
+    wide = console.options.update(width=_WIDE)
+    console.width = max(console.width, console.measure(table, options=wide).maximum)
+    console.print(table)
+    for row in rows:
+        if row.category != OVERALL and row.unique:
+            names = ", ".join(row.unique)
+            text = f"only {row.tool} solved, in {row.category}: {names}"
+            console.print(text, markup=False, soft_wrap=True)
+    print_contradictions(scores.contradictions)
+
+
+_COUNTS = ("sat", "unsat", "incorrect", "unknown", "timeout", "error")
+_COLUMNS = ("tool", "category", "score", "percent", *_COUNTS, "PAR-2, s")
+#: Shown where some row has one.
+_RARE = ("missing", "unique")
+
+
+def _cell(row: Row, column: str) -> str:
+    if column == "percent":
+        return f"{row.percent:.1f}"
+    if column == "PAR-2, s":
+        return f"{row.par2_s:.2f}"
+    return str(len(row.unique) if column == "unique" else getattr(row, column))
+
+
+def print_contradictions(contradictions: Sequence[Contradiction], stderr: bool = False) -> None:
+    """Print every contradiction, a refuted reference loudest."""
+    console = _console(stderr)
+    for contradiction in contradictions:
+        loud = contradiction.kind is Conflict.REFERENCE_REFUTED
+        label = "REFERENCE CONTRADICTION" if loud else "contradiction"
+        style = "bold white on red" if loud else "yellow"
+        console.print(f"{label}: {contradiction}", style=style, markup=False, soft_wrap=True)
+
+
+def print_check(check: WitnessCheck) -> None:
+    """Print the check of one witness."""
+    console = _console()
+    style = "green" if check.outcome is WitnessOutcome.CORRECT else "bold red"
+    if check.outcome is WitnessOutcome.CORRECT_WITH_TOLERANCE:
+        style = "yellow"
+    console.print(f"{check.outcome}: {check.message}", style=style, markup=False, soft_wrap=True)
+    console.print(check.outcome.sentence, markup=False, soft_wrap=True)
+
+
+def row_data(row: Row, contradictions: Sequence[Contradiction]) -> dict[str, Any]:
+    """Return a row for JSON, with the contradictions of its category (overall: all)."""
+    return {
+        **vars(row),
+        "contradictions": [
+            {"kind": str(c.kind), "instance": c.instance, "sat": c.sat, "unsat": c.unsat}
+            for c in contradictions
+            if row.category in (OVERALL, c.category)
+        ],
+    }

@@ -1,0 +1,5 @@
+#!/usr/bin/env bash
+# run_instance.sh v1 CATEGORY ONNX SPEC RESULTS TIMEOUT
+set -eu
+[ "$1" = v1 ] || { echo "unknown interface version $1" >&2; exit 1; }
+exec "${PYTHON:-python3}" -m harness.falsifier "$4" "$5" "$6"

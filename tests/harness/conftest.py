@@ -1,0 +1,43 @@
+"""Fixtures: a small benchmarks folder, tools made of shell scripts, and no process left."""
+
+import stat
+import uuid
+
+import pytest
+from harness_helpers import Benchmarks, carriers
+
+
+@pytest.fixture
+def benchmarks(tmp_path):
+    return Benchmarks(tmp_path / "set")
+
+
+@pytest.fixture
+def marker(monkeypatch):
+    """A word in the environment of all that a test starts; in the end nothing may carry it."""
+    word = uuid.uuid4().hex
+    monkeypatch.setenv("HARNESS_TEST_MARKER", word)
+    yield word
+    assert carriers(word) == []
+
+
+@pytest.fixture
+def make_tool(tmp_path):
+    """Return a function that makes a tool folder from the bodies of its scripts.
+
+    In them $RESULTS is the result file, $ID the instance's ID, $LIMIT the timeout.
+    """
+
+    def make(run, prepare="", install=None, name="fake"):
+        folder = tmp_path / "tools" / name
+        folder.mkdir(parents=True)
+        head = '#!/bin/bash\nID=$(basename "${4:-}" .json)\n'
+        (folder / "run_instance.sh").write_text(f'{head}RESULTS="$5" LIMIT="$6"\n{run}\n')
+        (folder / "prepare_instance.sh").write_text(f"{head}{prepare}\n")
+        if install is not None:
+            (folder / "install_tool.sh").write_text(f"#!/bin/bash\n{install}\n")
+        for script in folder.iterdir():
+            assert not script.stat().st_mode & stat.S_IXUSR  # bash runs them all the same
+        return folder
+
+    return make
