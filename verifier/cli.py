@@ -1,0 +1,61 @@
+"""The command ``verifier``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from racecar.command_line import Commands, print_json
+
+
+@click.group(cls=Commands)
+def main() -> None:
+    """Prove or refute instances: the reference verifier."""
+
+
+@main.command()
+@click.argument("instance", type=click.Path(path_type=Path))
+@click.option("--result", type=click.Path(path_type=Path), help="Write verdict and witness here.")
+@click.option(
+    "--timeout", type=click.FloatRange(min=0, min_open=True), default=float("inf"),
+    help="Stop after this many seconds and say what is decided.",
+)  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def verify(instance: Path, result: Path | None, timeout: float, as_json: bool) -> None:
+    """Decide INSTANCE (a JSON file): unsat (safe), sat (with a witness), or unknown.
+
+    Sound for the real-valued network and plant in continuous time: see docs/soundness.md.
+    """
+    # Imported here: they take longer than printing a usage error should.
+    from racecar.controller import RuntimeSteer  # noqa: PLC0415
+    from racecar.instance import controller_path  # noqa: PLC0415
+    from verifier.problem import load_problem  # noqa: PLC0415
+    from verifier.progress import share_bar  # noqa: PLC0415
+    from verifier.verify import verify as decide  # noqa: PLC0415
+
+    data, problem = load_problem(instance)
+    steer = RuntimeSteer(controller_path(data, instance))
+    with share_bar(hidden=as_json) as report:
+        answer = decide(problem, steer, timeout, report)
+    if result is not None:
+        answer.write(result)
+    if as_json:
+        print_json({"instance": data.id, **answer.to_json()})
+        return
+    click.echo(f"{answer.verdict}  {data.id}")
+    if answer.margin_lower is not None:
+        click.echo(f"proved margin at least {answer.margin_lower:.6f} m")
+    click.echo(f"least margin simulated {answer.margin_upper:.6f} m")
+    click.echo(
+        f"decided {answer.decided:.4%} of the start set, {answer.leaves} leaves, "
+        f"{answer.paths} paths, {answer.time_s:.2f} s"
+    )
+    if answer.note:
+        click.echo(answer.note)
+    if answer.witness:
+        click.echo("witness " + ", ".join(f"{k} = {v!r}" for k, v in answer.witness.items()))
+
+
+if __name__ == "__main__":
+    main()
