@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from racecar.errors import BadInput
 from racecar.polygon import Array
@@ -34,10 +35,24 @@ class Arc:
 
     def point(self, distance: ArrayLike) -> tuple[Array, Array]:
         """Return (s, f) after ``distance`` metres (any shape that broadcasts)."""
+        distance = np.asarray(distance, dtype=float)
         half = self.curvature * distance / 2
-        chord = distance * _sinc(half)
-        return self.s - chord * np.sin(self.course + half), self.f - chord * np.cos(
-            self.course + half
+        chord, along = distance * _sinc(half), self.course + half
+        return self.s - chord * np.sin(along), self.f - chord * np.cos(along)
+
+    @cached_property
+    def end(self) -> tuple[Array, Array]:
+        """Where it ends: (s, f)."""
+        return self.point(self.distance)
+
+    def take(self, index: NDArray | slice) -> Arc:
+        """Return the arcs at ``index``."""
+        return Arc(
+            self.s[index],
+            self.f[index],
+            self.course[index],
+            self.curvature[index],
+            self.distance[index],
         )
 
 
@@ -60,9 +75,12 @@ class Bicycle:
 
     def __post_init__(self) -> None:
         for name in ("acceleration", "motor", "front", "rear"):
-            if not getattr(self, name) > 0:
-                raise BadInput(f"bicycle: {name} is {getattr(self, name)}; it must be positive")
-        if not self.throttle >= self.hysteresis:
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise BadInput(f"bicycle: {name} is {value}; it must be a positive number")
+        if not (math.isfinite(self.throttle) and math.isfinite(self.hysteresis)):
+            raise BadInput("bicycle: throttle and hysteresis must be finite")
+        if self.throttle < self.hysteresis:
             raise BadInput("bicycle: throttle is below hysteresis; the car would drive backwards")
 
     @property
@@ -99,6 +117,7 @@ class Bicycle:
         return Arc(s, f, course, curvature, distance), theta + curvature * distance
 
 
-def _sinc(x: ArrayLike) -> Array:
+def _sinc(x: Array) -> Array:
     """Return sin(x) / x, 1 at 0."""
-    return np.sinc(np.asarray(x) / math.pi)
+    x = np.where(x == 0, 1e-20, x)
+    return np.sin(x) / x

@@ -1,13 +1,15 @@
 """The closed loop: measure, evaluate the controller, hold the steering for 0.1 s.
 
 All runs of a batch go on side by side. A run ends at its horizon, or at the first control
-instant at which its margin is 0 or less; its margin is the least up to then.
+instant at which its margin is not positive; its margin is the least up to then (NaN if the
+controller answered with NaN: never safe).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +22,9 @@ from racecar.polygon import Array
 from racecar.safety import Property, arc_margin, margin
 from racecar.track import Track
 
-#: Steering for scans ``[rays, batch]`` in metres: ``[batch]`` in radians.
+#: Steering for scans ``[rays, batch]`` in metres: ``[batch]`` in radians. One that treats every
+#: column by itself may have an attribute ``cars_at_once``: undisturbed scans then reach it in
+#: blocks of so many columns, while they are in the processor's cache; it must not keep them.
 Steer = Callable[[Array], Array]
 #: What faults and noise make of a scan: (step, state, scan ``[rays, batch]``) -> scan.
 Disturb = Callable[[int, "State", Array], Array]
@@ -69,17 +73,31 @@ class Plant:
     lidar: Lidar
     period: float = 0.1
 
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.period) and self.period > 0):
+            raise BadInput(f"plant: the control period is {self.period} s; it must be positive")
+
     def scan_rows(self, state: State) -> Array:
         """Return the scans of all cars, ``[rays, batch]``, metres."""
-        groups = self._groups(state)
+        groups = _groups(self._alike, state)
         if len(groups) == 1:
             obstacles = self.track.frames[groups[0][0]].obstacles
             return self.lidar.scan_rows(obstacles, state.s, state.f, state.theta)
-        scan = np.empty((self.lidar.rays, len(state)))
+        scan = np.empty((len(state), self.lidar.rays))
         for index, cars in groups:
             part, obstacles = state.take(cars), self.track.frames[index].obstacles
-            scan[:, cars] = self.lidar.scan_rows(obstacles, part.s, part.f, part.theta)
-        return scan
+            scan[cars] = self.lidar.scan(obstacles, part.s, part.f, part.theta)
+        return scan.T
+
+    def scan_blocks(self, state: State, block: Array) -> Iterator[tuple[NDArray | slice, Array]]:
+        """Yield the same scans in blocks: (which cars, ``[rays, cars]``).
+
+        block: ``[cars at a time, rays]``, memory for all blocks; each is good until the next.
+        """
+        for index, cars in _groups(self._alike, state):
+            part, obstacles = state.take(cars), self.track.frames[index].obstacles
+            for some, scan in self.lidar.scan_blocks(obstacles, part.s, part.f, part.theta, block):
+                yield (some if isinstance(cars, slice) else cars[some]), scan.T
 
     def drive(self, state: State, steering: Array) -> tuple[State, Arc]:
         """Hold the steering (``[batch]``, rad) for a period: the state after it and the arc.
@@ -87,14 +105,13 @@ class Plant:
         The arc, and the returned state, are in the frame that the step began in.
         """
         arc, theta = self.bicycle.arc(state.s, state.f, state.v, state.theta, steering, self.period)
-        s, f = arc.point(arc.distance)
         v = self.bicycle.speed_after(state.v, self.period)
-        return State(state.frame, s, f, v, theta), arc
+        return State(state.frame, *arc.end, v, theta), arc
 
     def advance(self, state: State) -> State:
         """Move the cars that are far enough into the next hall to its frame."""
         frame, s, f, theta = state.frame, state.s, state.f, state.theta
-        for index, cars in self._groups(state):
+        for index, cars in _groups(self._alike, state):
             change = self.track.frames[index].advance
             if change is None:
                 continue
@@ -113,38 +130,38 @@ class Plant:
 
     def margin(self, safety: Property, state: State) -> Array:
         """Return the margin (m) of each state."""
+        groups = _groups(safety.alike, state)
+        if len(groups) == 1:
+            return margin(safety.unsafe[groups[0][0]], state.s, state.f)
         least = np.empty(len(state))
-        for index, cars in self._groups(state):
+        for index, cars in groups:
             least[cars] = margin(safety.unsafe[index], state.s[cars], state.f[cars])
         return least
 
     def arc_margin(self, safety: Property, state: State, arc: Arc, below: Array) -> Array:
         """Return the lesser of ``below`` and the least margin (m) along each arc."""
+        groups = _groups(safety.alike, state)
+        if len(groups) == 1:
+            return arc_margin(safety.unsafe[groups[0][0]], arc, below)
         least = np.empty(len(state))
-        for index, cars in self._groups(state):
-            part = Arc(
-                arc.s[cars], arc.f[cars], arc.course[cars], arc.curvature[cars], arc.distance[cars]
-            )
-            least[cars] = arc_margin(safety.unsafe[index], part, below[cars])
+        for index, cars in groups:
+            least[cars] = arc_margin(safety.unsafe[index], arc.take(cars), below[cars])
         return least
-
-    def _groups(self, state: State) -> list[tuple[int, NDArray | slice]]:
-        """Group cars by the shape of their frame: (frame index, which cars)."""
-        if self._alike.max() == 0:
-            return [(0, slice(None))]
-        shape = self._alike[state.frame]
-        kinds = np.unique(shape)
-        if len(kinds) == 1:
-            return [(int(kinds[0]), slice(None))]
-        return [(int(kind), np.flatnonzero(shape == kind)) for kind in kinds]
 
     @cached_property
     def _alike(self) -> NDArray[np.intp]:
         return self.track.alike
 
-    def __post_init__(self) -> None:
-        if not self.period > 0:
-            raise BadInput(f"plant: the control period is {self.period} s; it must be positive")
+
+def _groups(alike: NDArray[np.intp], state: State) -> list[tuple[int, NDArray | slice]]:
+    """Group cars by frames that are alike: (index of one such frame, which cars)."""
+    if alike.max() == 0:
+        return [(0, slice(None))]
+    first = alike[state.frame]
+    kinds = np.unique(first)
+    if len(kinds) == 1:
+        return [(int(kinds[0]), slice(None))]
+    return [(int(kind), np.flatnonzero(first == kind)) for kind in kinds]
 
 
 @dataclass(frozen=True)
@@ -160,7 +177,7 @@ class Runs:
     margin: Array
     margin_sampled: Array
     crash_step: NDArray[np.intp]
-    trace: dict[str, Array] | None = None
+    trace: dict[str, NDArray] | None = None
 
 
 def simulate(
@@ -176,42 +193,55 @@ def simulate(
     state = start
     sampled = plant.margin(safety, start)
     least = sampled.copy()
-    crash = np.where(sampled <= 0, 0, -1)
-    history, steerings = [start], []
+    crash = np.where(sampled > 0, -1, 0)  # NaN counts as a crash
+    trace = _empty_trace(len(start), steps) if record else None
+    at_once = min(len(start), getattr(steer, "cars_at_once", 0))
+    block = np.empty((at_once, plant.lidar.rays))
     for step in range(steps):
         going = crash < 0
+        if trace is not None:
+            _write(trace, state, step)
         if not going.any():
-            steps_left = steps - step
-            history += [state] * steps_left
-            steerings += [np.full(len(start), np.nan)] * steps_left
-            break
-        scan = plant.scan_rows(state)
-        if disturb is not None:
-            scan = disturb(step, state, scan)
-        steering = steer(scan)
+            if trace is not None:
+                _write(trace, state, slice(step, None))
+            return Runs(least, sampled, crash, trace)
+        if len(block) and disturb is None:
+            steering = np.empty(len(state))
+            for cars, scan in plant.scan_blocks(state, block):
+                steering[cars] = steer(scan)
+        else:
+            scan = plant.scan_rows(state)
+            steering = steer(scan if disturb is None else disturb(step, state, scan))
         after, arc = plant.drive(state, steering)
         along = plant.arc_margin(safety, state, arc, least)
         at_end = plant.margin(safety, after)
         least = np.where(going, along, least)
         sampled = np.where(going, np.minimum(sampled, at_end), sampled)
+        crash = np.where(going & ~(at_end > 0), step + 1, crash)
         state = _choose(going, plant.advance(after), state)
-        crash = np.where(going & (at_end <= 0), step + 1, crash)
-        if record:
-            history.append(state)
-            steerings.append(np.where(going, steering, np.nan))
-    trace = None
-    if record:
-        trace = {
-            name: np.stack([getattr(x, name) for x in history], axis=1)
-            for name in ("frame", "s", "f", "v", "theta")
-        }
-        trace["steering"] = np.stack(steerings, axis=1)
+        if trace is not None:
+            trace["steering"][:, step] = np.where(going, steering, np.nan)
+    if trace is not None:
+        _write(trace, state, steps)
     return Runs(least, sampled, crash, trace)
+
+
+_FIELDS = tuple(field.name for field in fields(State))
 
 
 def _choose(where: NDArray[np.bool_], a: State, b: State) -> State:
     if where.all():
         return a
-    return State(
-        *(np.where(where, getattr(a, n), getattr(b, n)) for n in ("frame", "s", "f", "v", "theta"))
-    )
+    return State(*(np.where(where, getattr(a, name), getattr(b, name)) for name in _FIELDS))
+
+
+def _empty_trace(batch: int, steps: int) -> dict[str, NDArray]:
+    trace: dict[str, NDArray] = {name: np.empty((batch, steps + 1)) for name in _FIELDS}
+    trace["frame"] = np.empty((batch, steps + 1), dtype=np.intp)
+    trace["steering"] = np.full((batch, steps), np.nan)
+    return trace
+
+
+def _write(trace: dict[str, NDArray], state: State, step: int | slice) -> None:
+    for name in _FIELDS:
+        trace[name].T[step] = getattr(state, name)

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import threading
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,6 +53,14 @@ class Controller:
 
     layers: tuple[Layer, ...]
     metadata: dict[str, str] = field(default_factory=dict)
+    _double: tuple[Layer, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        double = tuple(
+            Layer(layer.weights.astype(float), layer.biases.astype(float), layer.activation)
+            for layer in self.layers
+        )
+        object.__setattr__(self, "_double", double)
 
     @property
     def rays(self) -> int:
@@ -72,21 +82,12 @@ class Controller:
             elif layer.activation == "relu":
                 np.maximum(x, 0, out=x)
             elif layer.activation == "sigmoid":
-                np.reciprocal(1 + np.exp(-x), out=x)
+                x = 0.5 + 0.5 * np.tanh(0.5 * x)  # exp would overflow
         return x[0]
 
     def steering(self, scan: Array) -> Array:
         """Return the steering angle ``[batch]`` (rad) for a scan ``[batch, rays]`` (m)."""
         return self.steering_rows(np.ascontiguousarray(np.asarray(scan, dtype=float).T))
-
-    def __post_init__(self) -> None:
-        double = tuple(
-            Layer(layer.weights.astype(float), layer.biases.astype(float), layer.activation)
-            for layer in self.layers
-        )
-        object.__setattr__(self, "_double", double)
-
-    _double: tuple[Layer, ...] = field(init=False, repr=False)
 
 
 def to_model(controller: Controller) -> onnx.ModelProto:
@@ -129,11 +130,21 @@ def save_controller(controller: Controller, path: Path) -> None:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that it is seen complete or not at all, even after a crash."""
+    """Write a file so that it is seen complete or not at all, even after a crash.
+
+    Writers of the same path at the same time do not disturb each other: one of them wins.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.part")
-    part.write_bytes(content)
-    part.replace(path)
+    part = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
+    try:
+        with part.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
 
 
 def load_controller(path: Path) -> Controller:
@@ -142,11 +153,14 @@ def load_controller(path: Path) -> Controller:
     Raises BadInput if the file is missing, broken, of another shape than a controller's,
     holds values that are not finite, or uses operators that are not understood.
     """
+    return parse_controller(_read(path), str(path))
+
+
+def _read(path: Path) -> bytes:
     try:
-        content = Path(path).read_bytes()
+        return Path(path).read_bytes()
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}); give an ONNX file") from None
-    return parse_controller(content, str(path))
 
 
 def parse_controller(content: bytes, where: str) -> Controller:
@@ -154,30 +168,43 @@ def parse_controller(content: bytes, where: str) -> Controller:
     try:
         model = onnx.load_from_string(content)
         onnx.checker.check_model(model)
-    except Exception:  # protobuf and the checker raise their own types
-        raise BadInput(f"{where}: not a complete ONNX file; export or download it again") from None
+        values = {t.name: numpy_helper.to_array(t) for t in model.graph.initializer}
+    except Exception:  # protobuf, the checker and NumPy raise their own types
+        raise BadInput(
+            f"{where}: not a complete ONNX file with its weights inside; "
+            "export or download it again"
+        ) from None
     graph = model.graph
-    values = {t.name: numpy_helper.to_array(t) for t in graph.initializer}
     inputs = [i for i in graph.input if i.name not in values]
     if len(inputs) != 1 or len(graph.output) != 1:
         raise BadInput(
             f"{where}: a controller has one input and one output; "
             f"this has {len(inputs)} and {len(graph.output)}"
         )
-    _check_float(inputs[0], where)
-    _check_float(graph.output[0], where)
     layers = _read_chain(graph, inputs[0].name, values, where)
     if layers[-1].weights.shape[0] != 1:
         raise BadInput(
             f"{where}: it returns {layers[-1].weights.shape[0]} values; a controller returns 1"
         )
+    _check_tensor(inputs[0], layers[0].weights.shape[1], where)
+    _check_tensor(graph.output[0], 1, where)
     return Controller(layers, {p.key: p.value for p in model.metadata_props})
 
 
-def _check_float(value: onnx.ValueInfoProto, where: str) -> None:
+def _check_tensor(value: onnx.ValueInfoProto, width: int, where: str) -> None:
     tensor = value.type.tensor_type
     if tensor.elem_type != TensorProto.FLOAT or len(tensor.shape.dim) != 2:
-        raise BadInput(f"{where}: {value.name} is not float32 with shape [batch, n]")
+        raise BadInput(f"{where}: {value.name} is not float32 with shape [batch, {width}]")
+    batch, given = tensor.shape.dim
+    if batch.HasField("dim_value"):
+        raise BadInput(
+            f"{where}: {value.name} has a fixed batch of {batch.dim_value}; "
+            "export it with a free batch dimension"
+        )
+    if given.HasField("dim_value") and given.dim_value != width:
+        raise BadInput(
+            f"{where}: {value.name} has width {given.dim_value}, but the layers have {width}"
+        )
 
 
 def _read_chain(
@@ -185,21 +212,24 @@ def _read_chain(
 ) -> tuple[Layer, ...]:
     layers: list[Layer] = []
     for node in graph.node:
-        if node.input[0] != x or len(node.output) != 1:
-            raise BadInput(f"{where}: node {node.name or node.op_type} is not part of one chain")
-        if node.op_type == "Gemm":
-            layers.append(_read_gemm(node, values, where))
-            width = layers[-2].weights.shape[0] if len(layers) > 1 else None
-            if width is not None and width != layers[-1].weights.shape[1]:
-                raise BadInput(f"{where}: node {node.name} does not fit the layer before it")
-        elif node.op_type in _ACTIVATIONS and layers and layers[-1].activation == "linear":
-            activation = _ACTIVATIONS[node.op_type]
-            layers[-1] = Layer(layers[-1].weights, layers[-1].biases, activation)
-        else:
+        name = node.name or node.op_type
+        known = node.op_type == "Gemm" or node.op_type in _ACTIVATIONS
+        if not known or node.domain not in {"", "ai.onnx"}:
             raise BadInput(
                 f"{where}: operator {node.op_type} is not understood here; use Gemm followed by "
                 f"{', '.join(_ACTIVATIONS)} or nothing"
             )
+        if node.input[0] != x or len(node.output) != 1:
+            raise BadInput(f"{where}: node {name} is not part of one chain of layers")
+        if node.op_type == "Gemm":
+            layers.append(_read_gemm(node, values, where))
+            if len(layers) > 1 and layers[-2].weights.shape[0] != layers[-1].weights.shape[1]:
+                raise BadInput(f"{where}: node {name} does not fit the layer before it")
+        elif layers and layers[-1].activation == "linear":
+            activation = _ACTIVATIONS[node.op_type]
+            layers[-1] = Layer(layers[-1].weights, layers[-1].biases, activation)
+        else:
+            raise BadInput(f"{where}: node {name} does not follow a Gemm")
         x = node.output[0]
     if not layers or x != graph.output[0].name:
         raise BadInput(f"{where}: no chain of layers leads from the input to the output")
@@ -211,9 +241,10 @@ def _read_gemm(node: onnx.NodeProto, values: dict[str, NDArray], where: str) -> 
     scaled = attributes.get("alpha", 1.0) != 1.0 or attributes.get("beta", 1.0) != 1.0
     if scaled or attributes.get("transA", 0):
         raise BadInput(f"{where}: node {node.name} scales or transposes its input; use plain Gemm")
+    biased = len(node.input) > 2 and node.input[2] != ""
     weights = values.get(node.input[1])
-    biases = values.get(node.input[2]) if len(node.input) > 2 else None
-    if weights is None or weights.ndim != 2 or (len(node.input) > 2 and biases is None):
+    biases = values.get(node.input[2]) if biased else None
+    if weights is None or weights.ndim != 2 or not weights.size or (biased and biases is None):
         raise BadInput(f"{where}: node {node.name} has no constant weights")
     if not attributes.get("transB", 0):
         weights = weights.T
@@ -221,22 +252,76 @@ def _read_gemm(node: onnx.NodeProto, values: dict[str, NDArray], where: str) -> 
         biases = np.zeros(weights.shape[0], dtype=np.float32)
     if weights.dtype != np.float32 or biases.dtype != np.float32:
         raise BadInput(f"{where}: node {node.name} is not float32")
-    if biases.size != weights.shape[0]:
-        raise BadInput(f"{where}: node {node.name} has {biases.size} biases for its neurons")
+    if biases.shape not in {weights.shape[:1], (1, weights.shape[0])}:
+        raise BadInput(
+            f"{where}: node {node.name} has biases of shape {list(biases.shape)} "
+            f"for {weights.shape[0]} neurons"
+        )
     if not (np.isfinite(weights).all() and np.isfinite(biases).all()):
         raise BadInput(f"{where}: node {node.name} holds values that are not finite (NaN or inf)")
     return Layer(np.ascontiguousarray(weights), biases.reshape(-1), "linear")
 
 
 def runtime_session(path: Path) -> InferenceSession:
-    """Open a controller in onnxruntime on one CPU core, as the judges do."""
-    import onnxruntime
+    """Open a controller in onnxruntime on one CPU core, as the judges do.
 
-    load_controller(path)
+    Raises BadInput where load_controller does, or if onnxruntime refuses the file.
+    """
+    content = _read(path)
+    parse_controller(content, str(path))
+    return _session(content, str(path))
+
+
+def _session(content: bytes, where: str) -> InferenceSession:
+    import onnxruntime  # noqa: PLC0415 (slow to import, and not always needed)
+
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3
-    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime raises its own types
+        reason = str(error).splitlines()[0]
+        raise BadInput(f"{where}: onnxruntime cannot run it ({reason})") from None
+
+
+class RuntimeSteer:
+    """A controller in onnxruntime: float32, one CPU core, as the judges run it.
+
+    Called on scans ``[rays, batch]`` (m), it returns steering angles ``[batch]`` (rad), float64.
+
+    Args:
+        controller: an ONNX file, or a controller in memory.
+
+    Raises:
+        BadInput: where load_controller does, or if onnxruntime refuses the file.
+    """
+
+    def __init__(self, controller: Path | str | Controller) -> None:
+        if isinstance(controller, Controller):
+            self.rays = controller.rays
+            self._session = _session(to_model(controller).SerializeToString(), "controller")
+        else:
+            content = _read(Path(controller))
+            self.rays = parse_controller(content, str(controller)).rays
+            self._session = _session(content, str(controller))
+        self._input = self._session.get_inputs()[0].name
+        self._kept = threading.local()
+
+    @property
+    def cars_at_once(self) -> int:
+        """How many cars to steer at a time (see racecar.closed_loop.Steer)."""
+        return max(64, 100_000 // self.rays)
+
+    def __call__(self, scan: Array) -> Array:
+        """Return the steering ``[batch]`` (rad) for a scan ``[rays, batch]`` (m)."""
+        # Fresh memory is slow to touch, so the float32 rows are kept between calls.
+        rows: NDArray[np.float32] | None = getattr(self._kept, "rows", None)
+        if rows is None or len(rows) < scan.shape[1]:
+            rows = self._kept.rows = np.empty((scan.shape[1], self.rays), dtype=np.float32)
+        rows = rows[: scan.shape[1]]
+        rows[...] = scan.T
+        return self._session.run(None, {self._input: rows})[0][:, 0].astype(float)
 
 
 def weights_sha256(controller: Controller) -> str:

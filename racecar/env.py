@@ -7,6 +7,7 @@ imports it by itself.
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from typing import Any
 
 import gymnasium
@@ -26,6 +27,7 @@ from racecar.track import Track, square_track
 
 MAX_STEERING = math.radians(15)
 EPISODE_STEPS = 130
+START_SPREAD, START_HEADING, START_AHEAD = 0.2, 0.3, 10.0
 STEP_REWARD, STEERING_COST, CRASH_REWARD = 10.0, 0.05, -100.0
 
 
@@ -50,39 +52,60 @@ class _Cars:
         self.safety = named_property("clearance", self.plant.track)
         self.scan_space = spaces.Box(0.0, lidar.range, (rays,), np.float32)
         self.steering_space = spaces.Box(-MAX_STEERING, MAX_STEERING, (1,), np.float32)
+        self.centre = self.plant.track.width / 2
+        extremes = State.start(
+            [self.centre - START_SPREAD, self.centre + START_SPREAD], START_AHEAD
+        )
+        if not (self.plant.margin(self.safety, extremes) > 0).all():
+            raise BadInput(
+                f"track: cars start {START_AHEAD} m before the first front wall, up to "
+                f"{START_SPREAD} m off the middle; there is no room for that"
+            )
 
-    def start(self, count: int, random: np.random.Generator) -> tuple[State, list[DrawnFaults]]:
-        """Draw starts, and for each car the faults of its run."""
-        s = 0.75 + random.uniform(-0.2, 0.2, count)
-        theta = random.uniform(-0.3, 0.3, count)
+    def start(
+        self, count: int, random: np.random.Generator, options: dict[str, Any] | None = None
+    ) -> tuple[State, DrawnFaults]:
+        """Draw starts and the faults of the runs; options set some of the state instead."""
+        drawn = {
+            "s": self.centre + random.uniform(-START_SPREAD, START_SPREAD, count),
+            "f": START_AHEAD,
+            "v": 0.0,
+            "theta": random.uniform(-START_HEADING, START_HEADING, count),
+        }
+        unknown = set(options or {}) - set(drawn)
+        if unknown:
+            raise BadInput(f"reset: options {sorted(unknown)} are unknown; use {sorted(drawn)}")
+        try:
+            given = {
+                name: np.broadcast_to(np.asarray(value, dtype=float), (count,))
+                for name, value in (drawn | (options or {})).items()
+            }
+        except (TypeError, ValueError):
+            raise BadInput(f"reset: options must be numbers, or arrays of {count}") from None
+        state = State.start(**given)
+        if not (self.plant.margin(self.safety, state) > 0).all():
+            raise BadInput("reset: a start is within 0.3 m of a wall; move s and f")
+        if not ((state.v >= 0) & np.isfinite(state.v) & np.isfinite(state.theta)).all():
+            raise BadInput("reset: v must be 0 or more, theta a number")
         track, lidar = self.plant.track, self.plant.lidar
-        disturbs = [
-            self.faults.draw(lidar.rays, 1, track.width, lidar.range, random) for _ in range(count)
-        ]
-        return State.start(s, 10.0, 0.0, theta), disturbs
+        return state, self.faults.draw(lidar.rays, count, track.width, lidar.range, random)
 
-    def observe(self, state: State, disturbs: list[DrawnFaults]) -> NDArray[np.float32]:
+    def observe(self, state: State, faults: DrawnFaults) -> NDArray[np.float32]:
         """Return disturbed scans, ``[cars, rays]``."""
-        scan = self.plant.scan_rows(state)
-        columns = [
-            disturb(0, state.take(slice(i, i + 1)), scan[:, i : i + 1])
-            for i, disturb in enumerate(disturbs)
-        ]
-        return np.concatenate(columns, axis=1).T.astype(np.float32)
+        return faults(0, state, self.plant.scan_rows(state)).T.astype(np.float32)
 
     def step(
-        self, state: State, steering: NDArray
+        self, state: State, action: NDArray
     ) -> tuple[State, NDArray[np.float64], NDArray[np.bool_]]:
         """Drive one control period: next state, reward and crash of each car."""
-        turning = state.f <= self.plant.track.width
+        action = np.asarray(action, dtype=float).reshape(len(state))
+        steering = np.minimum(np.maximum(action, -MAX_STEERING), MAX_STEERING)
         after, _ = self.plant.drive(state, steering)
-        crashed = self.plant.margin(self.safety, after) <= 0
+        crashed = ~(self.plant.margin(self.safety, after) > 0)
+        turning = state.f <= self.plant.track.width
         cost = np.where(turning, 0.0, STEERING_COST * np.degrees(steering) ** 2)
-        return (
-            self.plant.advance(after),
-            np.where(crashed, CRASH_REWARD, STEP_REWARD - cost),
-            crashed,
-        )
+        reward = np.where(crashed, CRASH_REWARD, STEP_REWARD - cost)
+        return self.plant.advance(after), reward, crashed
 
 
 class HallwayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
@@ -144,20 +167,15 @@ class HallwayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.observation_space = self._cars.scan_space
         self.action_space = self._cars.steering_space
         self._state: State | None = None
-        self._disturbs: list[DrawnFaults] = []
+        self._faults: DrawnFaults
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start a run; ``options`` may set ``s``, ``f``, ``v`` and ``theta`` (m, m/s, rad)."""
         super().reset(seed=seed)
-        state, self._disturbs = self._cars.start(1, self.np_random)
-        given = {"s": state.s, "f": state.f, "v": state.v, "theta": state.theta}
-        unknown = set(options or {}) - set(given)
-        if unknown:
-            raise BadInput(f"reset: options {sorted(unknown)} are unknown; use {sorted(given)}")
-        self._state = State.start(**(given | (options or {})))
-        return self._cars.observe(self._state, self._disturbs)[0], self._info()
+        self._state, self._faults = self._cars.start(1, self.np_random, options)
+        return self._cars.observe(self._state, self._faults)[0], self._info()
 
     def step(
         self, action: NDArray[np.float32]
@@ -165,9 +183,8 @@ class HallwayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Hold the steering angle ``action`` (radians, clipped to the space) for 0.1 s."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
-        steering = np.clip(np.asarray(action, dtype=float).reshape(1), -MAX_STEERING, MAX_STEERING)
-        self._state, reward, crashed = self._cars.step(self._state, steering)
-        scan = self._cars.observe(self._state, self._disturbs)[0]
+        self._state, reward, crashed = self._cars.step(self._state, action)
+        scan = self._cars.observe(self._state, self._faults)[0]
         return scan, float(reward[0]), bool(crashed[0]), False, self._info()
 
     def _info(self) -> dict[str, Any]:
@@ -202,21 +219,25 @@ class HallwayVectorEnv(VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._state: State | None = None
-        self._disturbs: list[DrawnFaults] = []
+        self._faults: DrawnFaults
         self._steps = np.zeros(num_envs, dtype=int)
         self._over = np.zeros(num_envs, dtype=bool)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start all runs."""
+        """Start all runs; ``options`` as in HallwayEnv, numbers or arrays ``[num_envs]``.
+
+        A list of seeds counts as one seed.
+        """
         if isinstance(seed, list):
-            seed = next((x for x in seed if x is not None), None)
+            numbers = [x for x in seed if x is not None]
+            seed = int(np.random.SeedSequence(numbers).generate_state(1)[0]) if numbers else None
         super().reset(seed=seed, options=options)
-        self._state, self._disturbs = self._cars.start(self.num_envs, self.np_random)
+        self._state, self._faults = self._cars.start(self.num_envs, self.np_random, options)
         self._steps[:] = 0
         self._over[:] = False
-        return self._cars.observe(self._state, self._disturbs), {}
+        return self._cars.observe(self._state, self._faults), {}
 
     def step(
         self, actions: NDArray[np.float32]
@@ -230,22 +251,21 @@ class HallwayVectorEnv(VectorEnv):
         """Hold the steering angles ``[num_envs, 1]`` for 0.1 s; runs that were over start anew."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
-        steering = np.clip(np.asarray(actions, dtype=float)[:, 0], -MAX_STEERING, MAX_STEERING)
         anew = self._over
-        self._state, reward, crashed = self._cars.step(self._state, steering)
+        state, reward, crashed = self._cars.step(self._state, actions)
         self._steps += 1
-        for i in np.flatnonzero(anew):
-            fresh, disturb = self._cars.start(1, self.np_random)
-            for name in ("frame", "s", "f", "v", "theta"):
-                getattr(self._state, name)[i] = getattr(fresh, name)[0]
-            self._disturbs[i] = disturb[0]
-            self._steps[i] = 0
+        if anew.any():
+            fresh, faults = self._cars.start(int(anew.sum()), self.np_random)
+            for field in fields(State):
+                getattr(state, field.name)[anew] = getattr(fresh, field.name)
+            self._faults.gone[:, anew] = faults.gone
+            self._steps[anew] = 0
+        self._state = state
         terminated = crashed & ~anew
-        truncated = (self._steps >= self._limit) & ~terminated & ~anew
+        truncated = (self._steps >= self._limit) & ~anew
         self._over = terminated | truncated
         reward = np.where(anew, 0.0, reward)
-        scan = self._cars.observe(self._state, self._disturbs)
-        return scan, reward, terminated, truncated, {}
+        return self._cars.observe(state, self._faults), reward, terminated, truncated, {}
 
 
 def register() -> None:

@@ -70,7 +70,7 @@ class DrawnFaults:
         """Return the scan ``[rays, runs]`` (metres) with noise added and rays missing."""
         del step
         if self.faults.noise:
-            noise = self.faults.noise * self.random.random(scan.shape)
+            noise = self.faults.noise * self.random.random(scan.shape[::-1]).T
             scan = np.minimum(scan + noise, self.reach)
         if self.faults.missing:
             gone = self.gone & in_turn(state, self.width) if self.faults.turn_only else self.gone

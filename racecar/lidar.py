@@ -11,12 +11,16 @@ distance t lies inside the constraint
 so a ray hits the wall first at ``u = min h/g`` over the constraints that the car is outside
 of, and hits it at all if that is positive and at least ``max h/g`` over the others.
 ``h / g`` is linear in (cos, sin) of the ray's relative angle: a product of small matrices.
+
+Before any work is done per car, the bounding box of a batch shows what is out of range, or
+holds everywhere in range, and that is dropped.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,10 +28,29 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from racecar.errors import BadInput
-from racecar.polygon import Array, Polygon
+from racecar.polygon import Array, Polygon, Stack, bounding_box, pair, stacked
 
-_HUGE = 1e30  # beyond every inverse distance that matters
-_TINY = 1e-200
+#: Beyond every inverse distance that matters.
+_HUGE = 1e300
+#: A car this near to a wall's line (metres) is on it.
+_TOUCHING = 1e-200
+#: This near (metres) the bounding box does not tell on which side of the line cars are.
+_UNSURE = 1e-9
+#: So many readings are made at a time: they stay in the processor's cache.
+_READINGS_AT_ONCE = 100_000
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """One wall as a batch of cars sees it.
+
+    Each array holds ``h / g`` of one constraint as the factors of (cosine, sine, and maybe 1)
+    of a ray's angle: ``[2 or 3, batch]``. entries: constraints that cars are outside of;
+    exits: constraints that cars are inside of.
+    """
+
+    entries: list[Array]
+    exits: list[Array]
 
 
 @dataclass(frozen=True)
@@ -59,66 +82,162 @@ class Lidar:
         return np.linspace(-self.field_of_view / 2, self.field_of_view / 2, self.rays)
 
     @cached_property
-    def _directions(self) -> Array:
-        return np.column_stack([np.cos(self.angles), np.sin(self.angles)])
+    def _directions(self) -> dict[int, Array]:
+        """(cosine, sine) and (cosine, sine, 1) of the ray angles, by their number."""
+        rows = np.stack([np.cos(self.angles), np.sin(self.angles), np.ones(self.rays)])
+        return {2: rows[:2], 3: rows}
 
     def scan(
         self, obstacles: Sequence[Polygon], s: ArrayLike, f: ArrayLike, theta: ArrayLike
     ) -> Array:
         """Return distances ``[batch, rays]`` in metres for states ``[batch]`` (m, m, rad).
 
-        A car inside an obstacle reads 0 on every ray.
+        A car inside an obstacle, or on its edge, reads 0 on every ray.
         """
         s, f, theta = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (s, f, theta))
-        return self.scan_rows(obstacles, s, f, theta).T
+        scan = np.empty((s.size, self.rays))
+        if s.size:
+            views, inside = _views(stacked(obstacles), self.range, s, f, theta)
+            for cars in _slices(s.size, _READINGS_AT_ONCE // self.rays):
+                self._measure(views, inside, cars, scan[cars])
+        return scan
 
     def scan_rows(self, obstacles: Sequence[Polygon], s: Array, f: Array, theta: Array) -> Array:
-        """Return the same scan with one row per ray, ``[rays, batch]`` (contiguous)."""
-        lower, upper = np.array([s.min(), f.min()]), np.array([s.max(), f.max()])
-        cosine, sine = np.cos(theta), np.sin(theta)
-        nearest = np.full((self.rays, s.size), 1 / self.range)
-        inside = np.zeros(s.shape, dtype=bool)
-        for obstacle in obstacles:
-            near = obstacle.relevant(lower, upper, self.range)
-            if near is None:
-                continue
-            inverse, within = self._first_hit(near, s, f, cosine, sine)
-            np.maximum(nearest, inverse, out=nearest)
-            if within is not None:
-                inside |= within
-        np.reciprocal(nearest, out=nearest)
-        if inside.any():
-            nearest[:, inside] = 0.0
-        return nearest
+        """Return the same scan with one row per ray, ``[rays, batch]``: a transposed view."""
+        return self.scan(obstacles, s, f, theta).T
 
-    def _first_hit(
-        self, obstacle: Polygon, s: Array, f: Array, cosine: Array, sine: Array
-    ) -> tuple[Array, Array | None]:
-        """Return inverse distances ``[rays, batch]`` (at most 0: no hit) and who is inside."""
-        first: Array | None = None  # min over the constraints that the car is outside of
-        last: Array | None = None  # max over the constraints that it is inside of
-        all_inside = np.ones(s.shape, dtype=bool)
-        for (a_s, a_f), b in zip(obstacle.normals, obstacle.offsets, strict=True):
-            miss = a_s * s + a_f * f - b
-            outside = miss > 0
-            all_inside &= ~outside
-            scale = 1 / np.where(outside, miss, np.minimum(miss, -_TINY))
-            ahead, across = (a_s * sine + a_f * cosine) * scale, (a_s * cosine - a_f * sine) * scale
-            ratio = self._combine(ahead, across)
-            if outside.all():
-                first = ratio if first is None else np.minimum(first, ratio, out=first)
-            elif not outside.any():
-                last = ratio if last is None else np.maximum(last, ratio, out=last)
-            else:
-                entry, leave = np.where(outside, ratio, _HUGE), np.where(outside, -_HUGE, ratio)
-                first = entry if first is None else np.minimum(first, entry, out=first)
-                last = leave if last is None else np.maximum(last, leave, out=last)
-        if first is None:
-            return np.zeros((self.rays, s.size)), np.ones(s.shape, dtype=bool)
-        if last is not None:
+    def scan_blocks(
+        self, obstacles: Sequence[Polygon], s: Array, f: Array, theta: Array, block: Array
+    ) -> Iterator[tuple[slice, Array]]:
+        """Yield the same scan in blocks: (which cars, ``[cars, rays]``).
+
+        block: ``[cars at a time, rays]``, memory for all blocks; each is good until the next.
+        """
+        if not s.size:
+            return
+        views, inside = _views(stacked(obstacles), self.range, s, f, theta)
+        for cars in _slices(s.size, len(block)):
+            scan = block[: s.size - cars.start]
+            self._measure(views, inside, cars, scan)
+            yield cars, scan
+
+    def _measure(self, views: list[_View], inside: Array | None, cars: slice, scan: Array) -> None:
+        """Fill ``scan``, ``[cars, rays]``."""
+        scratch = _scratch(scan.size).reshape(3, *scan.shape)
+        scan.fill(1 / self.range)
+        for view in views:
+            np.maximum(scan, self._first_hit(view, cars, scratch), out=scan)
+        np.reciprocal(scan, out=scan)
+        if inside is not None:
+            scan[inside[cars]] = 0.0
+
+    def _first_hit(self, view: _View, cars: slice, scratch: Array) -> Array:
+        """Return the inverse distance to a wall, ``[cars, rays]``; at most 0 for no hit.
+
+        scratch: three arrays of the answer's shape.
+        """
+        first, last, ratio = scratch
+        self._extreme(np.minimum, view.entries, cars, first, ratio)
+        if view.exits:
+            self._extreme(np.maximum, view.exits, cars, last, ratio)
             np.multiply(first, first >= last, out=first)
-        return first, all_inside if all_inside.any() else None
+        return first
 
-    def _combine(self, ahead: Array, across: Array) -> Array:
-        """Return ``cos(angle) ahead + sin(angle) across`` for every ray: ``[rays, batch]``."""
-        return self._directions @ np.stack([ahead, across])
+    def _extreme(
+        self, pick: np.ufunc, factors: list[Array], cars: slice, out: Array, ratio: Array
+    ) -> None:
+        """Write the least or largest ``h / g`` of several constraints to ``out``."""
+        for i, factor in enumerate(factors):
+            target = ratio if i else out
+            np.matmul(factor[:, cars].T, self._directions[len(factor)], out=target)
+            if i:
+                pick(out, ratio, out=out)
+
+
+def _slices(size: int, at_once: int) -> Iterator[slice]:
+    step = max(1, at_once)
+    return (slice(begin, begin + step) for begin in range(0, size, step))
+
+
+_kept = threading.local()
+
+
+def _scratch(size: int) -> Array:
+    """Return three arrays ``[3, size]``, kept between calls: fresh memory is slow to touch."""
+    flat: Array | None = getattr(_kept, "flat", None)
+    if flat is None or flat.size < 3 * size:
+        flat = _kept.flat = np.empty(3 * size)
+    return flat[: 3 * size].reshape(3, size)
+
+
+def _views(
+    walls: Stack, reach: float, s: Array, f: Array, theta: Array
+) -> tuple[list[_View], Array | None]:
+    """Return what cars can see of the walls within ``reach`` (m), and who is inside one.
+
+    Comparisons are such that NaN keeps a wall.
+    """
+    points = pair(s, f)
+    least, most = walls.bounds(bounding_box(points), reach)
+    near = ~(walls.largest(least) > 0)
+    kept = np.flatnonzero(near[walls.owner] & ~(most <= 0))
+    normals, slack = walls.normals[kept], reach * walls.norms[kept]
+    misses = normals @ points
+    misses -= walls.offsets[kept, None]
+    lows, highs = (least[kept] + slack).tolist(), (most[kept] - slack).tolist()
+    sides = [_side(low, high) for low, high in zip(lows, highs, strict=True)]
+    for j, side in enumerate(sides):
+        if not side:
+            misses[j] = np.where(np.abs(misses[j]) < _TOUCHING, -_TOUCHING, misses[j])
+    ratios = _approaches(normals, theta)
+    ratios /= misses[:, None]
+
+    faces: dict[int, list[int]] = {k: [] for k in np.flatnonzero(near).tolist()}
+    for j, k in enumerate(walls.owner[kept].tolist()):
+        faces[k].append(j)
+    views, inside = [], None
+    for mine in faces.values():
+        view = _View([], [])
+        for j in mine:
+            _add(view, sides[j], ratios[j], misses[j])
+        if view.entries:
+            views.append(view)
+        if not any(sides[j] > 0 for j in mine):
+            within = np.all(misses[mine] <= 0, axis=0)
+            inside = within if inside is None else inside | within
+    return views, inside
+
+
+def _side(least: float, most: float) -> int:
+    """Return 1 if all cars are outside of a constraint, -1 if all are inside, else 0."""
+    return 1 if least > _UNSURE else -1 if most < -_UNSURE else 0
+
+
+def _add(view: _View, side: int, ratio: Array, miss: Array) -> None:
+    """Add a constraint to a view.
+
+    Where cars are on both sides, a third factor, of a constant, makes a ratio that decides
+    nothing for the cars of the other side.
+    """
+    if side > 0:
+        view.entries.append(ratio)
+    elif side < 0:
+        view.exits.append(ratio)
+    else:
+        outside = miss > 0
+        view.entries.append(np.concatenate([ratio * outside, [_HUGE * ~outside]]))
+        view.exits.append(np.concatenate([ratio * ~outside, [-_HUGE * outside]]))
+
+
+def _approaches(normals: Array, theta: Array) -> Array:
+    """Return h of constraints as factors of the cosine and sine of a ray's angle.
+
+    With sin and cos of the heading these are ``a_s sin + a_f cos`` and ``a_s cos - a_f sin``:
+    ``[constraints, 2, batch]``.
+    """
+    turned = np.empty((2, 2, theta.size))
+    np.sin(theta, out=turned[0, 0])
+    np.cos(theta, out=turned[0, 1])
+    turned[1, 0] = turned[0, 1]
+    np.negative(turned[0, 0], out=turned[1, 1])
+    return (normals @ turned.reshape(2, -1)).reshape(-1, 2, theta.size)

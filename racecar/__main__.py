@@ -1,0 +1,5 @@
+"""Run the commands as ``python -m racecar``."""
+
+from racecar.cli import main
+
+main(prog_name="racecar")
