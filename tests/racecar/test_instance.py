@@ -1,0 +1,253 @@
+"""Instances: written and read back without loss, and refused with one clear line."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from global_geometry import TRACKS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from racecar.bicycle import Bicycle
+from racecar.closed_loop import Plant, State, simulate
+from racecar.controller import Controller, Layer, save_controller
+from racecar.errors import BadInput
+from racecar.instance import (
+    ControllerReference,
+    InitialSet,
+    Instance,
+    format_instance,
+    instance_schema,
+    load_instance,
+    load_instance_controller,
+    parse_instance,
+    plant_data,
+    property_data,
+    save_instance,
+)
+from racecar.lidar import Lidar
+from racecar.safety import PROPERTIES, named_property
+from racecar.track import Hall, Track, square_track
+
+
+def make_instance(
+    track: Track | None = None,
+    safety: str = "clearance",
+    s: tuple[float, float] = (0.65, 0.655),
+    steps: int = 70,
+    sha256: str = "0" * 64,
+    **car: Any,
+) -> Instance:
+    plant = Plant(track or square_track(), Bicycle(**car), Lidar())
+    return Instance(
+        id="TD3_L21_64x64_C1.closed_loop.w5mm.000.clearance",
+        category="closed_loop",
+        controller=ControllerReference(name="C", file="../onnx/C.onnx", sha256=sha256),
+        plant=plant_data(plant),
+        initial_set=InitialSet(s=s, f=(2.9, 2.9), v=(0.0, 0.0), theta=(0.0, 0.0)),
+        steps=steps,
+        property=property_data(named_property(safety, plant.track)),
+    )
+
+
+PLACES = st.tuples(st.floats(0.01, 0.9), st.floats(0.01, 0.9)).map(sorted).map(tuple)
+
+
+@settings(max_examples=50)
+@given(
+    track=TRACKS.filter(lambda track: track.halls[0].length > 3),
+    safety=st.sampled_from(sorted(PROPERTIES)),
+    s=PLACES,
+    steps=st.integers(1, 100_000),
+    slip=st.booleans(),
+    throttle=st.floats(4, 100),
+)
+def test_reading_gives_back_what_was_written(track, safety, s, steps, slip, throttle):
+    instance = make_instance(track, safety, s, steps, slip=slip, throttle=throttle)
+    text = format_instance(instance)
+    again = parse_instance(text, "test")
+    assert again == instance
+    assert format_instance(again) == text
+    assert again.make_plant() == Plant(track, Bicycle(slip=slip, throttle=throttle), Lidar())
+    ours, theirs = named_property(safety, track), again.make_property()
+    for one, other in zip(ours.unsafe, theirs.unsafe, strict=True):
+        for a, b in zip(one, other, strict=True):
+            assert (a.normals == b.normals).all()
+            assert (a.offsets == b.offsets).all()
+    jsonschema.validate(json.loads(text), instance_schema())
+
+
+def test_a_file_is_read_back(tmp_path: Path):
+    instance, path = make_instance(), tmp_path / "deep" / "i.json"
+    save_instance(instance, path)
+    assert load_instance(path) == instance
+    assert path.read_bytes() == format_instance(instance).encode()
+
+
+def test_the_schema_is_a_sound_2020_12_schema():
+    schema = instance_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+
+
+def test_an_instance_simulates_like_the_plant_that_it_states():
+    instance = make_instance(slip=True)
+    plant = Plant(square_track(), Bicycle(slip=True), Lidar())
+
+    def steer(scan: np.ndarray) -> np.ndarray:
+        return 0.1 * np.tanh(scan[15] - scan[5])
+
+    start = State.start(np.linspace(0.65, 0.655, 4), 2.9)
+    one = simulate(instance.make_plant(), steer, instance.make_property(), start, 30)
+    other = simulate(plant, steer, named_property("clearance", plant.track), start, 30)
+    assert (one.margin == other.margin).all()
+
+
+# --- Bad instances -----------------------------------------------------------------------
+
+GOOD = json.loads(format_instance(make_instance()))
+
+
+def put(*path: Any) -> Callable[[dict[str, Any]], None]:
+    """Return a change: put the last of ``path`` where the others lead."""
+    *keys, last, value = path
+
+    def change(data: dict[str, Any]) -> None:
+        place: Any = data
+        for key in keys:
+            place = place[key]
+        place[last] = value
+
+    return change
+
+
+def drop(*path: Any) -> Callable[[dict[str, Any]], None]:
+    def change(data: dict[str, Any]) -> None:
+        place: Any = data
+        for key in path[:-1]:
+            place = place[key]
+        del place[path[-1]]
+
+    return change
+
+
+CLOSE = "the last hall does not lead back to the first"
+FRAMES = "plant.frames: they do not follow from plant.halls"
+
+BAD_INSTANCES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
+    "lower above upper": (put("initial_set", "s", [0.7, 0.65]), "s: lower bound 0.7 is above"),
+    "start in a wall": (put("initial_set", "s", [-0.1, 0.65]), "it reaches into a wall"),
+    "start on a wall": (put("initial_set", "s", [0.0, 0.65]), "it reaches into a wall"),
+    "start in the block": (put("initial_set", "s", [1.0, 1.6]), "it reaches into a wall"),
+    "start behind the front": (put("initial_set", "f", [-2.0, -1.0]), "it reaches into a wall"),
+    "backwards": (put("initial_set", "v", [-1.0, 0.0]), "does not drive backwards"),
+    "NaN": (put("initial_set", "s", [float("nan"), 0.65]), "initial_set.s.0"),
+    "infinite": (put("initial_set", "f", [1.0, float("inf")]), "initial_set.f.1"),
+    "three bounds": (put("initial_set", "s", [0.1, 0.2, 0.3]), "initial_set.s"),
+    "no steps": (put("steps", 0), "steps: "),
+    "half a step": (put("steps", 70.5), "steps: "),
+    "missing field": (drop("steps"), "steps: Field required"),
+    "missing bound": (drop("initial_set", "theta"), "initial_set.theta: Field required"),
+    "unknown field": (put("comment", "hello"), "comment: "),
+    "other format": (put("format", "vnnlib"), "format: "),
+    "other version": (put("version", "9.0"), "version: "),
+    "identifier": (put("id", "../escape"), "id: "),
+    "sha256": (put("controller", "sha256", "abc"), "controller.sha256: "),
+    "one ray": (put("plant", "lidar", "rays", 1), "plant.lidar.rays: "),
+    "field of view": (put("plant", "lidar", "field_of_view", 7.0), "plant.lidar.field_of_view: "),
+    "period": (put("plant", "period", 0), "plant.period: "),
+    "width": (put("plant", "width", -1.5), "plant.width: "),
+    "throttle": (put("plant", "bicycle", "throttle", 3.0), "throttle is below hysteresis"),
+    "wheelbase": (put("plant", "bicycle", "front", 0.0), "plant.bicycle.front: "),
+    "turn": (put("plant", "halls", 0, "turn", "up"), "plant.halls.0.turn: "),
+    "open square": (drop("plant", "halls", 3), CLOSE),
+    "short hall": (put("plant", "halls", 0, "length", 1.0), "it must be at least two widths"),
+    "no halls": (put("plant", "halls", []), "plant.halls: "),
+    "moved wall": (put("plant", "frames", 1, "obstacles", 0, 0, [1.0, 0.0, 0.1]), FRAMES),
+    "missing frame": (drop("plant", "frames", 3), FRAMES),
+    "other advance": (put("plant", "frames", 0, "advance", "rotation", 0.0), FRAMES),
+    "false clearance": (
+        put("property", "unsafe", 0, 0, 0, [1.0, 0.0, 0.2]),
+        "it is not the property clearance on this track",
+    ),
+    "missing unsafe set": (drop("property", "unsafe", 3), "one list per frame is needed"),
+    "empty unsafe set": (put("property", "unsafe", 0, []), "property.unsafe.0: "),
+    "empty polygon": (put("property", "unsafe", 0, 0, []), "property.unsafe.0.0: "),
+}
+
+
+@pytest.mark.parametrize("name", BAD_INSTANCES)
+def test_a_bad_instance_is_refused_in_one_line(name: str, tmp_path: Path):
+    change, message = BAD_INSTANCES[name]
+    data = copy.deepcopy(GOOD)
+    change(data)
+    path = tmp_path / "bad.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(BadInput) as caught:
+        load_instance(path)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "null", "{}", format_instance(make_instance())[:900]]
+)
+def test_text_that_is_no_instance_is_refused(text: str):
+    with pytest.raises(BadInput, match=r"^here: .") as caught:
+        parse_instance(text, "here")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path):
+    with pytest.raises(BadInput, match="No such file"):
+        load_instance(tmp_path / "missing.json")
+
+
+def test_a_property_of_ones_own_may_be_anything():
+    data = copy.deepcopy(GOOD)
+    data["property"]["name"] = "left_wall_only"
+    data["property"]["unsafe"] = [[[[1.0, 0.0, 0.2]]]] * 4
+    instance = parse_instance(json.dumps(data), "here")
+    assert instance.make_property().name == "left_wall_only"
+
+
+def test_an_open_track_of_left_turns_is_an_instance():
+    track = Track(1.0, (Hall(12.0, "left"), Hall(5.0, None)), closed=False)
+    instance = make_instance(track)
+    assert instance.plant.frames[1].advance is None
+    assert parse_instance(format_instance(instance), "here") == instance
+
+
+# --- The controller of an instance -------------------------------------------------------
+
+
+def write_controller(path: Path, rays: int = 21) -> str:
+    layer = Layer(np.zeros((1, rays), np.float32), np.zeros(1, np.float32), "tanh")
+    save_controller(Controller((layer,)), path)
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_the_controller_is_found_and_checked(tmp_path: Path):
+    sha256 = write_controller(tmp_path / "onnx" / "C.onnx")
+    path = tmp_path / "specs" / "i.json"
+    save_instance(make_instance(sha256=sha256), path)
+    assert load_instance_controller(load_instance(path), path).rays == 21
+
+    write_controller(tmp_path / "onnx" / "C.onnx", rays=22)
+    with pytest.raises(BadInput, match="its sha256 is not the one"):
+        load_instance_controller(load_instance(path), path)
+    other = make_instance(sha256=write_controller(tmp_path / "onnx" / "C.onnx", rays=41))
+    with pytest.raises(BadInput, match=r"it reads 41 rays, but .* has 21"):
+        load_instance_controller(other, path)
+    (tmp_path / "onnx" / "C.onnx").unlink()
+    with pytest.raises(BadInput, match="No such file"):
+        load_instance_controller(load_instance(path), path)
