@@ -134,7 +134,7 @@ def choose(
                 continue
             p, sign = option.pair
             passes.add(where & ~decided[p], p, -sign)
-            recedes.add(where & (walls.high[option.face] > 0), option.face)
+            recedes.add(where & ~(walls.high[option.face] <= 0), option.face)
     return Choice(
         winner,
         Nearer(*nearer.columns()),

@@ -15,15 +15,20 @@ import numpy as np
 from racecar.polygon import Polygon
 from verifier.models import Array, Models, bounds
 from verifier.motion import Path
-from verifier.rounding import UP
+from verifier.rounding import UP, U
 from verifier.rows import F, S
 
 #: Pieces into which an arc is divided where the whole arc does not suffice.
 PIECES = 16
+#: An unsafe set farther away than this (metres) is not looked at more closely.
+FAR = 2.0
 
 
 def least_margin(path: Path, unsafe: Sequence[Polygon], wanted: float) -> Array:
     """Return a lower bound ``[rows]`` of the margin (m) along each row's path.
+
+    The margin counts misses in the units of a polygon's own constraints: a normal of length n
+    makes the bulge n times as large.
 
     wanted: a row whose bound on the whole arc is at least this is not refined.
     """
@@ -46,10 +51,12 @@ def _on_pieces(path: Path, unsafe: Sequence[Polygon], pieces: int) -> Array:
     low, high = bounds(points)
     lower, upper = low.min(axis=(1, 2)), high.max(axis=(1, 2))
     least = np.full(rows, np.inf)
+    # The arc strays from its chords by the bulge; 1 cm more covers the rounding of the test.
+    rounding = 0.01 + 2.0**-48 * float(np.abs([lower, upper]).max())
+    reach = FAR + float(bulge.max()) + rounding
     for polygon in unsafe:
-        if polygon.relevant(lower, upper, 2.0) is None:
-            # Farther than 2 m from every point.
-            least = np.minimum(least, 2.0)
+        if polygon.relevant(lower, upper, reach) is None:
+            least = np.minimum(least, FAR * float(_norms(polygon).min()))
             continue
         least = np.minimum(least, _polygon_margin(points, polygon, bulge))
     return least
@@ -65,18 +72,26 @@ def _points(path: Path, pieces: int) -> Models:
 
 def _polygon_margin(points: Models, polygon: Polygon, bulge: Array) -> Array:
     """Return a lower bound of the margin to one polygon along all pieces, ``[rows]``."""
-    misses = []
+    misses, norms = [], _norms(polygon)
     for (a_s, a_f), b in zip(polygon.normals, polygon.offsets, strict=True):
         miss = points[0].times(float(a_s)) + points[1].times(float(a_f))
         misses.append(miss.plus(-float(b)))
     # [pieces, rows] each: the lesser end of each piece.
-    best = np.max([_piecewise(m) for m in misses], axis=0)
-    for a, b in combinations(misses, 2):
+    bulges = [bulge * n * UP for n in norms]
+    best = np.max([_piecewise(m) - x for m, x in zip(misses, bulges, strict=True)], axis=0)
+    for i, j in combinations(range(len(misses)), 2):
+        a, b = misses[i], misses[j]
         weight = _weight(a.c[0], b.c[0])
         useful = (weight > 0) & (weight < 1)
         if useful.any():
-            best = np.maximum(best, _mixed(a, b, weight))
-    return (best - bulge * UP).min(axis=0)
+            best = np.maximum(best, _mixed(a, b, weight) - np.maximum(bulges[i], bulges[j]))
+    # The difference rounds once more.
+    return (best - 4 * U * np.abs(best)).min(axis=0)
+
+
+def _norms(polygon: Polygon) -> Array:
+    """Return the lengths of a polygon's normals, rounded up."""
+    return np.sqrt(np.sum(polygon.normals**2, axis=1)) * UP
 
 
 def _piecewise(miss: Models) -> Array:
@@ -102,5 +117,6 @@ def _mixed(a: Models, b: Models, weight: Array) -> Array:
     for end in (slice(None, -1), slice(1, None)):
         mean = a[end].times(weight) + b[end].times(other)
         ends.append(bounds(mean)[0])
-    # 1 - weight is rounded: the weights sum to 1 within U, the misses are below 2^10 metres.
-    return np.minimum(*ends) - 2.0**-42
+    # 1 - weight is rounded: the weights sum to 1 within U.
+    low = np.minimum(*ends)
+    return low - 4 * U * np.abs(low)

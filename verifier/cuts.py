@@ -84,9 +84,8 @@ def _cell_hull(p: Array, rest: Array) -> tuple[Array, Array]:
     middle = -1 + half * (2 * np.arange(_CELLS)[:, None] + 1)
     powers = np.arange(1, TERMS)[:, None]
     steep = (powers * np.abs(p[1:])).sum(axis=0) * UP
-    possible = (
-        _value(p[:, None, :], np.asarray(middle, dtype=float)) + (rest + half * steep) * UP >= 0
-    )
+    most = _value(p[:, None, :], np.asarray(middle, dtype=float)) + (rest + half * steep) * UP
+    possible = ~(most < 0)  # NaN, from overflow, is possible too
     some = possible.any(axis=0)
     first = possible.argmax(axis=0)
     last = _CELLS - 1 - possible[::-1].argmax(axis=0)

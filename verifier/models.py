@@ -145,8 +145,10 @@ def linear(weights: Array, absolute: Array, models: Models) -> Models:
     of absolute values.
     """
     c = np.matmul(weights, models.c)
-    noise = models.radius + gamma(weights.shape[1] + 1) * norm(models.c)
-    return Models(c, np.matmul(absolute, noise) * UP * UP + TINY)
+    rounding = gamma(weights.shape[1] + 1)
+    noise = models.radius + rounding * norm(models.c)
+    # The sum of radii rounds as well, by rounding times itself at most.
+    return Models(c, np.matmul(absolute, noise) * (1 + 2 * rounding) * UP * UP + TINY)
 
 
 def stack(models: Sequence[Models]) -> Models:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from racecar.bicycle import Bicycle
 from verifier.elementary import exp_negative
 from verifier.functions import sine_cosine, tan
-from verifier.models import Array, Models, error_spread, norm, stack
+from verifier.models import TERMS, Array, Models, error_spread, norm, stack
 from verifier.rounding import UP, U
 from verifier.rows import THETA, F, S, V
 
@@ -162,3 +162,8 @@ def new_error(state: Models) -> Array:
 def total_error(state: Models) -> Array:
     """Return the largest error (symbols and radius) of each row."""
     return error_spread(state).max(axis=0)
+
+
+def extent(state: Models) -> Array:
+    """Return how far the polynomial part of s and f strays from its middle, per row (m)."""
+    return norm(state.c[1:TERMS, S : F + 1]).max(axis=0)

@@ -12,10 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from racecar.track import Advance
 from verifier.clearance import least_margin
 from verifier.cuts import parts
-from verifier.models import Array, Models, error_spread
-from verifier.motion import Motion, new_error, total_error
+from verifier.elementary import SIN_COS_RANGE
+from verifier.models import Array, Models, bounds, error_spread, norm
+from verifier.motion import Motion, extent, new_error, total_error
 from verifier.network import Network
 from verifier.problem import Box, Problem, start_rows
 from verifier.rounding import U
@@ -26,10 +28,14 @@ from verifier.scan import Guards, Scanner
 BATCH = 48
 #: A row narrower than this (of the box's 2) is given up rather than split.
 NARROWEST = 1e-9
+#: A gap between rows (of the box's 2) that may be due to rounding alone.
+GAP = 1e-10
 #: A row whose errors (m, rad) exceed this is given up.
-COARSEST = 1e-2
-#: A row is given up if splitting did not bring the error of a step below this share: it stems
-#: from the errors that the row came with.
+COARSEST = 2e-3
+#: The share of the errors that a row comes with by which they may grow in a step.
+GROWTH = 0.1
+#: If splitting did not bring the error of a step below this share, it stems from the errors
+#: that the row came with, and is accepted.
 FUTILE = 0.5
 
 
@@ -73,7 +79,9 @@ class Prover:
             int(i): Scanner(problem.plant.lidar, frames[i].obstacles) for i in np.unique(alike)
         }
         self._scanners = [by_shape[int(i)] for i in alike]
-        self._alike = alike
+        # Frames are treated together if they agree in walls, advance and unsafe set.
+        self._alike = alike * len(frames) + problem.safety.alike
+        self._restrictions = 0
         #: How often a row was cut in two at a change of walls.
         self.cuts = 0
 
@@ -86,7 +94,13 @@ class Prover:
                 rows = self._step(rows, tolerance, failed)
         bad = join(failed) if failed else rows.take(np.zeros(len(rows), dtype=bool))
         least = float(rows.least.min(initial=np.inf))
-        return Proof(bad.low, bad.high, least, len(rows))
+        # low and high of a row are rounded anew at each of the restrictions that made it.
+        pad = 8 * U * self._restrictions
+        covered = [np.concatenate([rows.low, bad.low]), np.concatenate([rows.high, bad.high])]
+        lost = uncovered(low, high, *covered)
+        open_low = np.concatenate([bad.low, lost[0]]) - pad
+        open_high = np.concatenate([bad.high, lost[1]]) + pad
+        return Proof(np.maximum(open_low, -1), np.minimum(open_high, 1), least, len(rows))
 
     def _step(self, rows: Rows, tolerance: float, failed: list[Rows]) -> Rows:
         """Take all rows through one control step."""
@@ -97,6 +111,13 @@ class Prover:
             if len(batch) > BATCH:
                 todo.append(batch.take(np.arange(BATCH, len(batch))))
                 batch = batch.take(np.arange(BATCH))
+            # Beyond this, sin and cos are not known.
+            wild = ~(norm(batch.state.c[:, THETA]) + batch.state.radius[THETA] < SIN_COS_RANGE)
+            if wild.any():
+                failed.append(batch.take(wild))
+                batch = batch.take(~wild)
+                if not len(batch):
+                    continue
             shapes = self._alike[batch.frame]
             if shapes.min() != shapes.max():
                 todo += [batch.take(shapes == shape) for shape in np.unique(shapes)]
@@ -110,6 +131,13 @@ class Prover:
     def _attempt(self, rows: Rows, tolerance: float, failed: list[Rows]) -> tuple[list[Rows], Rows]:
         """Return rows that do the step again, and rows that have done it."""
         frame = int(rows.frame[0])
+        came = total_error(rows.state)
+        lost = ~(came <= COARSEST)
+        if lost.any():
+            failed.append(rows.take(lost))
+            rows, came = rows.take(~lost), came[~lost]
+        if not len(rows):
+            return [], rows
         scan = self._scanners[frame].measure(rows, 0.1 * tolerance)
         blocked = scan.unclear.copy()
         blocked[scan.guards.row] = True
@@ -117,24 +145,28 @@ class Prover:
         clear = np.flatnonzero(~blocked)
         if not clear.size:
             return again, rows.take(clear)
-        rows = rows.take(clear)
+        rows, came = rows.take(clear), came[clear]
         with np.errstate(invalid="ignore", over="ignore"):  # rows too wide; sorted out below
             steering = self._network.steering(scan.distance[:, clear])
             path = self._motion.drive(rows.state, steering)
         error = new_error(path.state)
         error = np.where(np.isfinite(error), error, np.inf)
-        fine = error <= tolerance + KINK_GAIN * rows.kink
+        # Splitting does not help where the errors are wider than the piece.
+        dominated = came > 0.5 * extent(rows.state)
+        fine = error <= tolerance + KINK_GAIN * rows.kink + GROWTH * came
+        fine |= np.isfinite(error) & (dominated | (error > FUTILE * rows.tried))
         least = np.full(len(rows), -np.inf)
         clear = np.flatnonzero(fine)
         least[clear] = least_margin(
             path.take(clear), self._problem.safety.unsafe[frame], self._wanted
         )
-        lost = ~(total_error(rows.state) <= COARSEST) | (~fine & ~(error <= FUTILE * rows.tried))
+        good = fine & (least > 0)
+        lost = dominated & ~good
         if lost.any():
             failed.append(rows.take(lost))
-        good = fine & (least > 0) & ~lost
         retry = np.flatnonzero(~good & ~lost)
         again += self._halve(replace(rows.take(retry), tried=error[retry]), failed)
+        good &= ~lost
         rows, least = rows.take(good), least[good]
         rows = replace(
             rows,
@@ -150,6 +182,7 @@ class Prover:
         self, rows: Rows, guards: Guards, unclear: NDArray[np.bool_], failed: list[Rows]
     ) -> list[Rows]:
         """Cut each row at the one of its failing guards that divides it best."""
+        self._restrictions += 1
         children = [*self._halve(rows.take(unclear), failed)]
         fit = ~unclear[guards.row]
         if not fit.any():
@@ -172,7 +205,7 @@ class Prover:
         # A kink that fails by no more than the guard's own error cannot be cut any better: it
         # goes into the radius.
         inherent = fails <= 4.1 * error_spread(guards.models[index[first]])
-        give_in = undecided & (inherent | (overlap > 1) | narrow) & (chosen.kink < fails)
+        give_in = undecided & (inherent | narrow) & (chosen.kink < fails)
         held = chosen.take(give_in)
         if len(held):
             children.append(replace(held, kink=fails[give_in] * 1.01))
@@ -203,28 +236,64 @@ class Prover:
         rows = rows.take(~narrow)
         if not len(rows):
             return []
+        self._restrictions += 1
         end, middle = np.ones(len(rows)), np.zeros(len(rows))
         return [rows.restrict(-end, middle), rows.restrict(middle, end)]
 
     def _advance(self, rows: Rows) -> Rows:
-        """Describe rows that are mostly in the next hall in its frame; the set is the same."""
-        frame, c, radius = rows.frame.copy(), rows.state.c.copy(), rows.state.radius.copy()
+        """Move cars that are far enough into the next hall to its frame.
+
+        Where that is so for a part of a row only, the row is cut: the unsafe sets of two frames
+        need not be the same, and the numbers that describe the walls there are rounded.
+        """
+        done = []
         for index in np.unique(rows.frame):
+            mine = rows.take(rows.frame == index)
             change = self._problem.plant.track.frames[index].advance
             if change is None:
+                done.append(mine)
                 continue
-            middle = rows.state.c[0]
-            value = change.guard[0] * middle[S] + change.guard[1] * middle[F]
-            now = np.flatnonzero((rows.frame == index) & (value > change.guard[2]))
-            if not now.size:
+            value = mine.state[S].times(change.guard[0]) + mine.state[F].times(change.guard[1])
+            value = value.plus(-change.guard[2])
+            low, high = bounds(value)
+            moves, stays = low > 0, high <= 0
+            done += [_move(mine.take(moves), change), mine.take(stays)]
+            open_rows = np.flatnonzero(~(moves | stays))
+            if not open_rows.size:
                 continue
-            (a, b), (d, e) = change.matrix
-            s, f = rows.state[S][now], rows.state[F][now]
-            moved_s = (s.times(a) + f.times(b)).plus(change.offset[0])
-            moved_f = (s.times(d) + f.times(e)).plus(change.offset[1])
-            # The rotation is a quarter turn; its double is off by less than U.
-            turned = rows.state[THETA][now].plus(change.rotation).widen(U)
-            for component, models in ((S, moved_s), (F, moved_f), (THETA, turned)):
-                c[:, component, now], radius[component, now] = models.c, models.radius
-            frame[now] = change.to
-        return replace(rows, frame=frame, state=Models(c, radius))
+            self._restrictions += 1
+            both = parts(value[open_rows])
+            for part, beyond in ((both.positive, True), (both.negative, False)):
+                some = part[0] <= part[1]
+                kept = mine.take(open_rows[some]).restrict(part[0, some], part[1, some])
+                done.append(_move(kept, change) if beyond else kept)
+        return join([r for r in done if len(r)]) if done else rows
+
+
+def _move(rows: Rows, change: Advance) -> Rows:
+    """Describe rows in the frame of the next hall."""
+    (a, b), (d, e) = change.matrix
+    s, f, c, radius = rows.state[S], rows.state[F], rows.state.c.copy(), rows.state.radius.copy()
+    moved_s = (s.times(a) + f.times(b)).plus(change.offset[0])
+    moved_f = (s.times(d) + f.times(e)).plus(change.offset[1])
+    # The rotation is a quarter turn; its double is off by less than U.
+    turned = rows.state[THETA].plus(change.rotation).widen(U)
+    for component, models in ((S, moved_s), (F, moved_f), (THETA, turned)):
+        c[:, component], radius[component] = models.c, models.radius
+    return replace(rows, frame=np.full(len(rows), change.to), state=Models(c, radius))
+
+
+def uncovered(low: Array, high: Array, lows: Array, highs: Array) -> tuple[Array, Array]:
+    """Return the gaps in pieces [low, high] that intervals [lows, highs] leave.
+
+    There should be none: this guards against a row that was lost on the way. Gaps that may be
+    due to rounding are left out.
+    """
+    order = np.argsort(lows)
+    begins = np.concatenate([[-1.0], np.maximum.accumulate(highs[order])])
+    ends = np.concatenate([lows[order], [1.0]])
+    wide = ends > begins + GAP
+    gap_low = np.maximum(low, begins[wide, None]).ravel()
+    gap_high = np.minimum(high, ends[wide, None]).ravel()
+    lost = gap_high > gap_low + GAP
+    return gap_low[lost], gap_high[lost]

@@ -156,10 +156,13 @@ def consolidate(state: Models, active: list[int]) -> Models:
         c[TERMS + 2 * i + 1, active] = direction * half_difference[i]
     # A vector e is Q (Q^T e) + (I - Q Q^T) e; the second part is what Q lacks in being
     # orthogonal, bounded row by row. All products above round as well.
-    lack = np.abs(np.einsum("rki,rli->rkl", frame, frame) - np.eye(k)) + 2.0**-48
+    lack = np.abs(np.einsum("rki,rli->rkl", frame, frame) - np.eye(k))
+    # Q's rows are no longer than the square root of this: near 1, whatever QR returned.
+    rounding = 2.0**-48 * (1 + lack.max(axis=(1, 2)))
+    lack = lack + rounding[:, None, None]
     size = error_spread(Models(state.c[:, active], radius))
     rest = np.einsum("rkl,lr->kr", lack, size) * UP
-    rest = rest + 2.0**-48 * size.sum(axis=0)
+    rest = rest + rounding * size.sum(axis=0)
     out = np.array(state.radius)
     out[active] = rest * UP + TINY
     return Models(c, out)

@@ -93,15 +93,37 @@ class Scanner:
         )
         fails = np.maximum(-bounds(models)[0], 0.0)
         small = fails <= allowed[g.row]
+        # Where the wall met is entered later than face ``second`` says, it must not be left by
+        # then: that would be a jump.
+        for n in np.flatnonzero(small & (fails > 0) & (g.first != RANGE) & (g.second != RANGE)):
+            small[n] = not self._may_leave(walls, g.first[n], g.second[n], g.ray[n], g.row[n])
         np.maximum.at(slack, (g.ray[small], g.row[small]), fails[small])
         large = np.flatnonzero(~small)
         return Guards(models[large], fails[large], g.row[large], (None,) * len(large))
+
+    def _may_leave(self, walls: Walls, late: int, early: int, ray: int, row: int) -> bool:
+        """Tell whether a ray may have left the wall of faces late and early before it enters late.
+
+        Only through a face that the car may be inside of; False for faces of two walls.
+        """
+        wall = walls.faces[late].polygon
+        if walls.faces[early].polygon != wall:
+            return False
+        for k, face in enumerate(walls.faces):
+            if face.polygon != wall or k in {late, early} or walls.usable[k, row]:
+                continue
+            pair = (late, k) if late < k else (k, late)
+            cross = walls.cross(np.array([walls.pairs.index(pair)]), np.array([row]))
+            inside = self._combine(cross, np.array([ray])).times(1.0 if late < k else -1.0)
+            if not bounds(inside)[0][0] >= 0:
+                return True
+        return False
 
     def _jumps(self, walls: Walls, choice: Choice) -> list[Guards]:
         g = choice.passes
         models = self._combine(walls.cross(g.pair, g.row), g.ray).times(g.sign)
         low = bounds(models)[0]
-        fail = np.flatnonzero(low < 0)
+        fail = np.flatnonzero(~(low >= 0))  # NaN, from overflow, proves nothing
         decisions = []
         for n in fail:
             front, back = (walls.faces[i] for i in walls.pairs[g.pair[n]])
@@ -112,7 +134,7 @@ class Scanner:
         r = choice.recedes
         models = -self._combine(walls.rate(r.face, r.row), r.ray)
         low = bounds(models)[0]
-        fail = np.flatnonzero(low < 0)
+        fail = np.flatnonzero(~(low >= 0))
         return [passes, Guards(models[fail], -low[fail], r.row[fail], (None,) * len(fail))]
 
     def _distances(self, walls: Walls, choice: Choice, slack: Array) -> Models:

@@ -17,7 +17,7 @@ from verifier.result import Result
 from verifier.rows import THETA, F, S, V
 
 #: Errors (m, rad) allowed per step, tried in turn on what the one before left open.
-TOLERANCES = (1e-6, 1e-8, 1e-10)
+TOLERANCES = (1e-6, 1e-8, 1e-10, 1e-12)
 #: A box is given up rather than split into more pieces than this (along its other axes).
 MOST_BOXES = 4096
 _STATE = {"s": S, "f": F, "v": V, "theta": THETA}
@@ -31,6 +31,7 @@ class _Tally:
     least: float = np.inf
     leaves: int = 0
     paths: int = 1
+    complete: bool = False  # whether every box was treated to its end
     open: list[tuple[Array, Array]] = field(default_factory=list)
 
 
@@ -60,7 +61,7 @@ def verify(
         except OutOfTime:
             note = "the time limit was reached"
     unsafe = worst.margin <= 0 and confirmed(problem, steer, worst.start)
-    proved = not tally.open and tally.decided == 1.0
+    proved = tally.complete and not tally.open
     verdict = "sat" if unsafe else "unsat" if proved else "unknown"
     return Result(
         verdict=verdict,
@@ -100,6 +101,7 @@ def _prove(
             continue
         tally.decided += share * (1 - float(np.sum(high - low)) / 2)
         tally.open += _pieces(box, low, high)
+    tally.complete = True
     if not tally.open:
         tally.decided = 1.0
 

@@ -39,17 +39,30 @@ class Face:
 def faces_within(obstacles: Sequence[Polygon], state: Models, reach: float) -> list[Face]:
     """Return the faces that matter within ``reach`` metres of any member of any row."""
     low, high = bounds(state[S : F + 1])
+    lower, upper = low.min(axis=1), high.max(axis=1)
+    # A millimetre more covers the rounding of the test itself.
+    reach = reach + 1e-3 + 2.0**-48 * float(np.abs([lower, upper]).max())
     faces = []
     for p, polygon in enumerate(obstacles):
-        # A millimetre more covers the rounding of the test itself.
-        near = polygon.relevant(low.min(axis=1), high.max(axis=1), reach + 1e-3)
+        near = polygon.relevant(lower, upper, reach)
         if near is None:
             continue
+        if not len(near.offsets):
+            near = polygon  # deep inside: no face is near, but the wall is
         for normal, offset in zip(near.normals, near.offsets, strict=True):
             same = np.all(polygon.normals == normal, axis=1) & (polygon.offsets == offset)
-            place = int(np.flatnonzero(same)[0])
-            faces.append(Face(p, place, (float(normal[0]), float(normal[1])), float(offset)))
+            faces.append(_face(p, polygon, int(np.flatnonzero(same)[0])))
+    if not faces:  # one, out of reach, keeps the arrays from being empty
+        first = obstacles[0]
+        positive, negative = np.maximum(first.normals, 0), np.minimum(first.normals, 0)
+        least = positive @ lower + negative @ upper - first.offsets
+        faces.append(_face(0, first, int(least.argmax())))
     return faces
+
+
+def _face(index: int, polygon: Polygon, place: int) -> Face:
+    a_s, a_f = polygon.normals[place]
+    return Face(index, place, (float(a_s), float(a_f)), float(polygon.offsets[place]))
 
 
 class Walls:
