@@ -25,9 +25,13 @@ _STATE = {"s": S, "f": F, "v": V, "theta": THETA}
 
 @dataclass
 class _Tally:
-    """What has been decided so far: shares of the start set, and the proof's figures."""
+    """What has been decided so far: shares of the start set, and the proof's figures.
+
+    decided: share proved in boxes that are done with; current: in the box at hand.
+    """
 
     decided: float = 0.0
+    current: float = 0.0
     least: float = np.inf
     leaves: int = 0
     paths: int = 1
@@ -67,7 +71,7 @@ def verify(
         verdict=verdict,
         margin_lower=tally.least if verdict == "unsat" else None,
         margin_upper=worst.margin,
-        decided=1.0 if unsafe else tally.decided,
+        decided=1.0 if unsafe else tally.decided + tally.current,
         leaves=tally.leaves,
         paths=tally.paths,
         time_s=time.perf_counter() - began,
@@ -88,7 +92,7 @@ def _prove(
     while boxes:
         box, share = boxes.pop()
         low, high = _prove_box(prover, box, share, tally, report)
-        tally.paths = 1 + prover.cuts
+        tally.paths, tally.current = 1 + prover.cuts, 0.0
         if not low.size:
             tally.decided += share
             report(tally.decided)
@@ -116,18 +120,27 @@ def _prove_box(
         tally.least = min(tally.least, proof.least)
         tally.leaves += proof.leaves
         low, high = merged(proof.low, proof.high)
-        report(tally.decided + share * (1 - float(np.sum(high - low)) / 2))
+        tally.current = share * (1 - float(np.sum(high - low)) / 2)
+        report(tally.decided + tally.current)
         if not low.size:
             break
     return low, high
 
 
+#: The ends of a row's piece are tracked to within this (in the box's units, -1 to 1).
+_TRACKED = 2e-12
+
+
 def merged(low: Array, high: Array) -> tuple[Array, Array]:
-    """Return intervals that cover the same as the given ones, joined where they touch."""
+    """Return intervals within [-1, 1] that cover the given pieces, joined where they touch.
+
+    They are a little wider, so that they cover the pieces as the models mean them, too.
+    """
+    low, high = np.maximum(low - _TRACKED, -1.0), np.minimum(high + _TRACKED, 1.0)
     order = np.argsort(low)
     joined: list[list[float]] = []
     for a, b in zip(low[order], high[order], strict=True):
-        if joined and a <= joined[-1][1] + 1e-12:
+        if joined and a <= joined[-1][1]:
             joined[-1][1] = max(joined[-1][1], b)
         else:
             joined.append([a, b])
