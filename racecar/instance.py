@@ -63,7 +63,7 @@ class BicycleData(_Data):
 class LidarData(_Data):
     """The LiDAR: rays equally spaced over the field of view, the first at its right end."""
 
-    rays: int = Field(ge=2)
+    rays: int = Field(ge=2, le=100_000)
     field_of_view: Positive = Field(description="rad", le=2 * math.pi)
     range: Positive = Field(description="m; readings are clipped here")
 
@@ -164,6 +164,8 @@ class Instance(_Data):
                 raise ValueError("plant.frames: they do not follow from plant.halls")
             if len(self.property.unsafe) != len(self.plant.frames):
                 raise ValueError("property.unsafe: one list per frame is needed")
+            if any(a == b == 0 for f in self.property.unsafe for p in f for a, b, _ in p):
+                raise ValueError("property.unsafe: a constraint has the normal (0, 0)")
             if self.property.name in PROPERTIES:
                 expected = property_data(named_property(self.property.name, plant.track))
                 if self.property != expected:
@@ -241,7 +243,7 @@ def property_data(safety: Property) -> PropertyData:
 def parse_instance(text: str | bytes, where: str) -> Instance:
     """Read an instance from JSON text; BadInput names what is wrong in ``where``."""
     try:
-        return Instance.model_validate_json(text)
+        return Instance.model_validate_json(text, strict=True)
     except ValidationError as error:
         first, count = error.errors()[0], error.error_count()
         place = ".".join(str(x) for x in first["loc"])

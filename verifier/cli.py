@@ -18,8 +18,8 @@ def main() -> None:
 @click.argument("instance", type=click.Path(path_type=Path))
 @click.option("--result", type=click.Path(path_type=Path), help="Write verdict and witness here.")
 @click.option(
-    "--timeout", type=click.FloatRange(min=0, min_open=True), default=float("inf"),
-    help="Stop after this many seconds and say what is decided.",
+    "--timeout", type=click.FloatRange(min=0, min_open=True), default=300.0,
+    show_default=True, help="Stop after this many seconds and say what is decided.",
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def verify(instance: Path, result: Path | None, timeout: float, as_json: bool) -> None:

@@ -22,6 +22,8 @@ CARS = st.builds(
     rear=st.floats(0.1, 0.5),
     slip=st.booleans(),
 )
+#: At rest or really moving: the solver's own error estimate underflows in between.
+SPEEDS = st.one_of(st.just(0.0), st.floats(1e-3, 3))
 
 
 def ode(car: Bicycle, start: list[float], steering: float, time: float) -> np.ndarray:
@@ -50,9 +52,7 @@ def drive(car: Bicycle, start: list[float], steering: float, time: float) -> np.
 
 @given(
     car=CARS,
-    start=st.tuples(
-        st.floats(0, 20), st.floats(0, 20), st.floats(0, 3), st.floats(-math.pi, math.pi)
-    ),
+    start=st.tuples(st.floats(0, 20), st.floats(0, 20), SPEEDS, st.floats(-math.pi, math.pi)),
     steering=st.floats(-1.2, 1.2),
     time=st.floats(0.001, 1.0),
 )

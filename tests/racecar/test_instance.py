@@ -251,3 +251,29 @@ def test_the_controller_is_found_and_checked(tmp_path: Path):
     (tmp_path / "onnx" / "C.onnx").unlink()
     with pytest.raises(BadInput, match="No such file"):
         load_instance_controller(load_instance(path), path)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (("steps",), "steps"),
+        (("initial_set", "s", 0), "initial_set.s.0"),
+        (("plant", "lidar", "rays"), "plant.lidar.rays"),
+    ],
+)
+def test_numbers_written_as_strings_are_refused(change, complaint):
+    data = json.loads(format_instance(make_instance()))
+    place = data
+    for key in change[:-1]:
+        place = place[key]
+    place[change[-1]] = str(place[change[-1]])
+    with pytest.raises(BadInput, match=complaint):
+        parse_instance(json.dumps(data), "i.json")
+
+
+def test_a_constraint_without_a_direction_is_refused():
+    data = json.loads(format_instance(make_instance()))
+    data["property"]["name"] = "mine"
+    data["property"]["unsafe"][0].append([[0.0, 0.0, 1.0]])
+    with pytest.raises(BadInput, match="normal"):
+        parse_instance(json.dumps(data), "i.json")
