@@ -92,7 +92,7 @@ def _prove(
     while boxes:
         box, share = boxes.pop()
         low, high = _prove_box(prover, box, share, tally, report)
-        tally.paths, tally.current = 1 + prover.cuts, 0.0
+        tally.current = 0.0
         if not low.size:
             tally.decided += share
             report(tally.decided)
@@ -119,6 +119,7 @@ def _prove_box(
         proof = prover.prove(box, low, high, tolerance)
         tally.least = min(tally.least, proof.least)
         tally.leaves += proof.leaves
+        tally.paths = 1 + prover.cuts
         low, high = merged(proof.low, proof.high)
         tally.current = share * (1 - float(np.sum(high - low)) / 2)
         report(tally.decided + tally.current)
