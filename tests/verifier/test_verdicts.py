@@ -18,7 +18,8 @@ from racecar.controller import Controller, Layer, load_controller
 from racecar.lidar import Lidar
 from racecar.polygon import Polygon
 from racecar.safety import Property, named_property
-from verifier import proof, verify as under_test
+from verifier import proof
+from verifier import verify as under_test
 from verifier.problem import Box, Problem
 from verifier.proof import OutOfTime, Prover
 from verifier.result import Result
@@ -34,11 +35,14 @@ def decide(problem: Problem, timeout: float = 20.0) -> Result:
     return verify(problem, problem.controller.steering_rows, timeout)
 
 
-def proved_pieces(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the proof alone, without any search for a witness, leaves open."""
+def proved_pieces(problem: Problem, count: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Return what the proof alone, without any search for a witness, leaves open.
+
+    count: into how many rows the start set is divided at the beginning.
+    """
     lead = int(np.argmax(problem.upper - problem.lower))
-    box = Box(problem.lower, problem.upper, lead)
-    result = Prover(problem, 0.0).prove(box, np.array([-1.0]), np.array([1.0]), 1e-6)
+    box, edges = Box(problem.lower, problem.upper, lead), np.linspace(-1, 1, count + 1)
+    result = Prover(problem, 0.0).prove(box, edges[:-1], edges[1:], 1e-6)
     return result.low, result.high
 
 
@@ -286,25 +290,24 @@ def test_a_time_limit_gives_an_honest_unknown():
     assert "time limit" in result.note
 
 
-def test_shares_that_round_to_all_are_not_all(monkeypatch):
-    """60 boxes within boxes, all but the last proved: 1 - 2^-60 is 1 in doubles."""
+def test_a_limit_before_the_last_box_leaves_the_verdict_open(monkeypatch):
+    """Three boxes of four are proved when the time is up."""
     calls = []
 
     def prove_box(prover, box, share, tally, report):
         calls.append(share)
-        if len(calls) <= 60:
+        if len(calls) <= 2:
             return np.array([-1.0]), np.array([1.0])
-        if len(calls) == 121:
+        if len(calls) == 5:
             raise OutOfTime
         return np.zeros(0), np.zeros(0)
 
     monkeypatch.setattr(under_test, "_prove_box", prove_box)
-    problem = question(
-        zero_controller(5), [0.7, 9.9, 1.0, 0.0], [0.8, 9.95, 1.1, 0.05], steps=1
-    )  # fmt: skip
+    problem = question(zero_controller(5), [0.7, 9.9, 1.0, 0.0], [0.8, 9.95, 1.1, 0.05], steps=1)
     result = decide(problem)
-    assert len(calls) == 121
+    assert len(calls) == 5
     assert result.verdict == "unknown"
+    assert result.decided == 0.5
 
 
 def test_a_row_that_is_lost_on_the_way_counts_as_open(monkeypatch):
@@ -349,11 +352,26 @@ def test_merged_intervals_cover_the_given_ones_and_little_more():
     assert empty[0].size == empty[1].size == 0
 
 
+def test_rows_in_frames_of_one_shape_are_judged_by_their_own_unsafe_sets(monkeypatch):
+    """In the next frame f >= 14.9 is unsafe: those have just come in, the others are behind."""
+    monkeypatch.setattr(proof, "NARROWEST", 0.05)
+    unsafe = [[NOWHERE], [[[0.0, -1.0, -14.9]]], [NOWHERE], [NOWHERE]]
+    problem = into_the_next_hall(unsafe, steps=5)
+    x = np.linspace(-1, 1, 201)
+    ends = 4.1 + 0.1 * x[:, None] + 0.24 * np.arange(5)
+    entered = ((ends > 5.0) & (ends <= 5.1 - 1e-6)).any(axis=1)
+    assert 0.2 < entered.mean() < 0.8
+    pieces = proved_pieces(problem, 8)
+    assert all(is_open(pieces, place) for place in x[entered])
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_verdicts_of_small_networks_agree_with_dense_simulation(seed):
     """Random networks into the turn: whatever is said, no run contradicts it."""
     random = np.random.default_rng(seed)
-    problem = corner_question(random_controller(random, 9, ["tanh", "relu"][seed % 2], 0.5), steps=8)
+    problem = corner_question(
+        random_controller(random, 9, ["tanh", "relu"][seed % 2], 0.5), steps=8
+    )
     result = decide(problem, 10.0)
     margin = least_simulated(problem)
     if result.verdict == "unsat":
