@@ -56,7 +56,8 @@ def free_pose(random: np.random.Generator, track: Track, lidar: Lidar) -> tuple[
     frame = int(random.integers(len(track.frames)))
     obstacles = track.frames[frame].obstacles
     while True:
-        s, f = [*random.uniform(0, min(5, track.width * 2), 2), 0, random.choice([0, 2])]
+        s, f = random.uniform(0, min(5, track.width * 2), 2)
+        f += random.choice([0, 2])
         if min(wall.separation(s, f) for wall in obstacles) > 0.03:
             break
     theta = random.uniform(-math.pi, math.pi)
