@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ from rich.table import Table
 from generator.categories import CATEGORIES
 from generator.emit import build, load_controllers
 from generator.hyperparams import load_hyperparameters
-from generator.instances import ControllerFile, Question, make_instance
+from generator.instance_command import instance
 from generator.progress import progress_bar
 from generator.record import SeedRecord
 from generator.seeds import Train, find_controller, publish
@@ -24,9 +23,6 @@ from generator.yaml_network import import_yaml
 from racecar.command_line import CHECK_FAILED, DONE, Commands, print_json
 from racecar.controller import save_controller
 from racecar.errors import BadInput
-from racecar.experiment import default_field_of_view
-from racecar.instance import save_instance
-from racecar.safety import PROPERTIES
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 
@@ -136,56 +132,7 @@ def import_yaml_command(file: Path, output: Path, name: str | None, as_json: boo
         click.echo(f"wrote {output}: {shape} network")
 
 
-@main.command()
-@click.option("--onnx", type=_FILE, required=True, help="The controller.")
-@click.option("--start", nargs=2, required=True, metavar="LO HI", help="Range of s, metres.")
-@click.option(
-    "--property",
-    "safety",
-    type=click.Choice(list(PROPERTIES)),
-    default="clearance",
-    show_default=True,
-)
-@click.option("--steps", type=int, default=70, show_default=True, help="Control periods.")
-@click.option("--front", default="9.9", show_default=True, help="Distance to the front wall, m.")
-@click.option("--speed", default="0", show_default=True, help="m/s")
-@click.option("--heading", default="0", show_default=True, help="Degrees, counter-clockwise.")
-@click.option(
-    "--fov",
-    type=click.FloatRange(0, 360, min_open=True),
-    help="Field of view in degrees  [default: 230, or 270 for 1081 rays]",
-)
-@click.option("--id", "name", help="ID of the instance  [default: the output file's name]")
-@click.option("--category", default="custom", show_default=True)
-@click.option("-o", "--output", type=_FILE, required=True, help="JSON file to write.")
-@_json_option
-def instance(
-    onnx: Path,
-    start: tuple[str, str],
-    safety: str,
-    steps: int,
-    front: str,
-    speed: str,
-    heading: str,
-    fov: float | None,
-    name: str | None,
-    category: str,
-    output: Path,
-    as_json: bool,
-) -> None:
-    """Make one instance for any controller.
-
-    Numbers are kept as they are typed: a number that a double cannot keep is refused.
-    """
-    file = ControllerFile.load(onnx)
-    view = default_field_of_view(file.controller.rays) if fov is None else math.radians(fov)
-    question = Question(name or output.stem, category, start, front, speed, heading, steps, safety)
-    made = make_instance(question, file, view, output)
-    save_instance(made, output)
-    if as_json:
-        print_json({"id": made.id, "file": str(output), "controller": made.controller.file})
-    else:
-        click.echo(f"wrote {output}: {made.id}")
+main.add_command(instance)
 
 
 @main.command()

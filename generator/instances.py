@@ -15,28 +15,34 @@ from generator.partition import Bounds, exact_decimal
 from racecar.bicycle import Bicycle
 from racecar.closed_loop import Plant
 from racecar.controller import Controller, parse_controller
+from racecar.disturbance import Disturbance
 from racecar.instance import Instance, parse_instance, plant_data, property_data, read_text
 from racecar.lidar import Lidar
 from racecar.safety import named_property
 from racecar.track import square_track
+
+#: One value, or lower and upper bound, as decimal literals.
+Range = str | Bounds
 
 
 @dataclass(frozen=True)
 class Question:
     """What an instance asks of a controller on the paper's track.
 
-    start: bounds of s; front, speed: f (m) and v (m/s); heading: degrees, counter-clockwise;
-    numbers are decimal literals; steps: control periods; safety: name of the property.
+    start: of s (m); front, speed: of f (m) and v (m/s); heading: degrees, counter-clockwise;
+    numbers are decimal literals; steps: control periods; safety: name of the property;
+    disturbance: of the LiDAR, if any.
     """
 
     id: str
     category: str
-    start: Bounds
-    front: str = "9.9"
-    speed: str = "0"
-    heading: str = "0"
+    start: Range
+    front: Range = "9.9"
+    speed: Range = "0"
+    heading: Range = "0"
     steps: int = 70
     safety: str = "clearance"
+    disturbance: Disturbance | None = None
 
 
 @dataclass(frozen=True)
@@ -71,11 +77,8 @@ def make_instance(
 
     field_of_view: radians. Raises BadInput, naming ``target``, if it would not be valid.
     """
-    s, f, v = (
-        [float(exact_decimal(x)) for x in bounds]
-        for bounds in (question.start, (question.front,) * 2, (question.speed,) * 2)
-    )
-    theta = math.radians(float(exact_decimal(question.heading)))
+    s, f, v = (_bounds(x) for x in (question.start, question.front, question.speed))
+    theta = [math.radians(x) for x in _bounds(question.heading)]
     data = {
         "id": question.id,
         "category": question.category,
@@ -85,11 +88,19 @@ def make_instance(
             "sha256": file.sha256,
         },
         "plant": _plant(file.controller.rays, field_of_view),
-        "initial_set": {"s": s, "f": f, "v": v, "theta": [theta, theta]},
+        "initial_set": {"s": s, "f": f, "v": v, "theta": theta},
         "steps": question.steps,
         "property": _property(question.safety),
     }
+    if question.disturbance is not None:
+        data["disturbance"] = question.disturbance.model_dump(mode="json")
     return parse_instance(json.dumps(data), str(target))
+
+
+def _bounds(given: Range) -> list[float]:
+    """Return lower and upper bound as doubles."""
+    low, high = (given, given) if isinstance(given, str) else given
+    return [float(exact_decimal(x)) for x in (low, high)]
 
 
 def benchmark_plant(rays: int, field_of_view: float) -> Plant:

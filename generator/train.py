@@ -160,6 +160,7 @@ def _make_model(setup: Setup, parameters: Hyperparameters, seed: int) -> TD3:
             "activation_fn": _ACTIVATIONS[kinds.activation],
             "critic_activation": _ACTIVATIONS[kinds.critic_activation],
             "features_extractor_class": NormalisedScan,
+            "optimizer_kwargs": {"weight_decay": kinds.weight_decay or 0.0},
         },
         seed=seed,
         device="cpu",

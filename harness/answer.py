@@ -10,7 +10,7 @@ from harness.files import open_plain
 from harness.records import NO_RESULT, Verdict
 
 #: A longer witness (bytes) is not read: it is malformed.
-LARGEST_WITNESS = 1 << 20
+LARGEST_WITNESS = 1 << 24
 #: Only so much of the first line is looked at.
 _LONGEST_LINE = 1000
 

@@ -18,11 +18,12 @@ import numpy as np
 import psutil
 
 from harness.records import Verdict
-from harness.replay import Replayer, format_witness
+from harness.replay import Replayer
 from racecar.controller import write_whole
 from racecar.errors import BadInput
-from racecar.instance import Instance, Witness, load_instance
+from racecar.instance import Instance, load_instance
 from racecar.polygon import Array
+from racecar.witness import Witness, format_witness
 
 #: Starts a round, rounds, and best starts that are kept from round to round.
 LARGEST_BATCH, ROUNDS, ELITE = 512, 24, 8

@@ -85,14 +85,22 @@ class WitnessOutcome(StrEnum):
 
 
 _SENTENCES = {
-    WitnessOutcome.CORRECT: "The start lies in the initial set and the car enters the unsafe set.",
+    WitnessOutcome.CORRECT: (
+        "The start lies in the initial set, the disturbance is allowed, "
+        "and the car enters the unsafe set."
+    ),
     WitnessOutcome.CORRECT_WITH_TOLERANCE: (
         "The car enters the unsafe set only up to the tolerance: "
         "the tool is credited, the instance is not thereby known to be sat."
     ),
-    WitnessOutcome.WRONG: "The car stays out of the unsafe set from this start.",
-    WitnessOutcome.OUT_OF_BOX: "The start lies outside the initial set by more than the tolerance.",
-    WitnessOutcome.MALFORMED: "The witness cannot be read as a start state of finite numbers.",
+    WitnessOutcome.WRONG: "The car stays out of the unsafe set in this run.",
+    WitnessOutcome.OUT_OF_BOX: (
+        "The start lies outside the initial set, or the noise beyond its bound, by more than the "
+        "tolerance, or the rays given may not be missing."
+    ),
+    WitnessOutcome.MALFORMED: (
+        "The witness cannot be read as a start state and the disturbance that is asked for."
+    ),
     WitnessOutcome.MISSING: "There is no witness.",
 }
 
@@ -100,9 +108,9 @@ _SENTENCES = {
 class WitnessCheck(Data):
     """The independent check of one witness.
 
-    margin (m) is the replayed run's least margin in continuous time, outside the largest
-    distance of a coordinate from the initial set in its own unit (0: inside); both are null
-    when there was nothing to replay.
+    margin (m) is the replayed run's least margin in continuous time; outside is the largest
+    distance of a number from what the instance allows, in its own unit (0: allowed), null where
+    rays are given that may not be missing. Both are null when there was nothing to replay.
     """
 
     format: Literal["closedlap-witness-check"] = "closedlap-witness-check"

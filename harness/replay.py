@@ -9,42 +9,38 @@ tolerance earns the points and establishes nothing.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pydantic import ValidationError
 
 from harness.answer import LARGEST_WITNESS, witness_in
+from harness.given import Malformed, check_shape, complaint, given_steps, make_faults
 from harness.machine import versions
 from harness.records import WitnessCheck, WitnessOutcome
-from racecar.closed_loop import State, simulate
+from racecar import witness as witness_file
+from racecar.closed_loop import Disturb, State, simulate
 from racecar.controller import runtime_session
 from racecar.errors import BadInput
 from racecar.instance import (
     Instance,
-    Witness,
     controller_path,
     load_instance,
     load_instance_controller,
     read_text,
 )
 from racecar.polygon import Array
+from racecar.witness import Witness
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
-#: Absolute; of every coordinate of the start (m, m/s, rad), and of the margin (m).
+#: Absolute; of every coordinate of the start (m, m/s, rad), of noise (m), of the margin (m).
 TOLERANCE = 1e-4
 
 _COORDINATES = ("s", "f", "v", "theta")
-
-
-class Malformed(Exception):
-    """A witness that cannot be read; the message says why."""
 
 
 def parse_witness(text: bytes) -> Witness:
@@ -52,37 +48,50 @@ def parse_witness(text: bytes) -> Witness:
     if len(text) > LARGEST_WITNESS:
         raise Malformed(f"it is longer than {LARGEST_WITNESS} bytes")
     try:
-        return Witness.model_validate_json(text, strict=True)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(x) for x in first["loc"])
-        raise Malformed(f"{place + ': ' if place else ''}{first['msg']}") from None
+        return witness_file.parse_witness(text)
+    except BadInput as error:
+        raise Malformed(str(error)) from None
 
 
 @dataclass(frozen=True)
 class Position:
-    """Where a start lies relative to the initial set; doubles are compared exactly.
+    """Where a witness lies relative to what the instance allows; doubles are compared exactly.
 
-    distance: the largest distance of a coordinate from the set, in its own unit; within:
-    whether no coordinate is farther away than the tolerance.
+    distance: the largest distance of a coordinate of the start from the initial set, in its own
+    unit; noise: by how much (m) the largest noise is too large; rays: why the missing rays are
+    not allowed, if they are not; within: whether no number is off by more than the tolerance.
     """
 
     distance: float
+    noise: float
+    rays: str | None
     within: bool
 
     @property
     def inside(self) -> bool:
-        """Whether the start lies in the set, without any tolerance."""
-        return self.distance == 0
+        """Whether the instance allows the witness, without any tolerance."""
+        return self.distance == 0 and self.noise == 0 and self.rays is None
+
+    @property
+    def outside(self) -> float | None:
+        """The largest distance of a number from what is allowed; None if rays are not allowed."""
+        return max(self.distance, self.noise) if self.rays is None else None
 
 
 def position(instance: Instance, witness: Witness) -> Position:
-    """Return where the start lies."""
+    """Return where a witness lies; Malformed if it has not the shape that the instance asks."""
+    check_shape(instance, witness)
     start = np.array([getattr(witness, name) for name in _COORDINATES])
     lower, upper = instance.initial_set.bounds()
     distance = float(np.max(np.maximum(np.maximum(lower - start, start - upper), 0.0)))
-    within = np.all((start >= lower - TOLERANCE) & (start <= upper + TOLERANCE))
-    return Position(distance, bool(within))
+    within = bool(np.all((start >= lower - TOLERANCE) & (start <= upper + TOLERANCE)))
+    rays, excess = complaint(instance, witness), 0.0
+    if witness.noise and instance.disturbance is not None:
+        bound = instance.disturbance.noise
+        largest = float(np.max(np.abs(witness.noise)))
+        excess = max(largest - bound, 0.0)
+        within = within and largest <= bound + TOLERANCE
+    return Position(distance, excess, rays, within and rays is None)
 
 
 class Replayer:
@@ -94,10 +103,13 @@ class Replayer:
         self._session = runtime_session(controller_path(instance, spec))
         self._plant, self._safety = instance.make_plant(), instance.make_property()
 
-    def margins(self, starts: Array) -> Array:
+    def margins(
+        self, starts: Array, disturb: Disturb | None = None, steps: int | None = None
+    ) -> Array:
         """Return the least margin (m) in continuous time of each start, ``[batch, 4]``.
 
-        Exact for a batch of one; in larger batches onnxruntime may sum in another order.
+        disturb: of the scans; steps: how many control periods, if not the instance's. Exact for
+        a batch of one; in larger batches onnxruntime may sum in another order.
         """
         state = State.start(*starts.T)
         with np.errstate(invalid="ignore", over="ignore"):
@@ -106,14 +118,25 @@ class Replayer:
                 lambda scan: _steer(self._session, scan),
                 self._safety,
                 state,
-                self.instance.steps,
+                self.instance.steps if steps is None else steps,
+                disturb,
             )
         return runs.margin
 
     def margin(self, witness: Witness) -> float:
-        """Return the least margin (m) of the run that begins at the witness."""
-        start = [[getattr(witness, name) for name in _COORDINATES]]
-        return float(self.margins(np.array(start))[0])
+        """Return the least margin (m) of the run that a witness describes.
+
+        Raises Malformed if its lists end before the run does, and the run is not unsafe by then.
+        """
+        start = np.array([[getattr(witness, name) for name in _COORDINATES]])
+        steps = given_steps(self.instance, witness)
+        margin = float(self.margins(start, make_faults(self.instance, witness), steps)[0])
+        if steps < self.instance.steps and margin > TOLERANCE:
+            raise Malformed(
+                f"it gives values for {steps} of {self.instance.steps} steps, "
+                "and the car is safe until then"
+            )
+        return margin
 
 
 def _steer(session: InferenceSession, scan: Array) -> Array:
@@ -122,11 +145,11 @@ def _steer(session: InferenceSession, scan: Array) -> Array:
     return np.asarray(steering, dtype=float)[:, 0]
 
 
-def judge(start: Position, margin: float) -> WitnessOutcome:
-    """Return what a start with that margin (m) amounts to."""
-    if not start.within:
+def judge(place: Position, margin: float) -> WitnessOutcome:
+    """Return what a witness at that place, with that margin (m), amounts to."""
+    if not place.within:
         return WitnessOutcome.OUT_OF_BOX
-    if start.inside and margin <= 0:
+    if place.inside and margin <= 0:
         return WitnessOutcome.CORRECT
     if margin <= TOLERANCE:
         return WitnessOutcome.CORRECT_WITH_TOLERANCE
@@ -140,27 +163,26 @@ def check_witness(
 
     Raises BadInput if the instance itself cannot be used.
     """
-    start, margin = None, math.nan
+    place, margin = None, math.nan
     if not text.strip():
         outcome, message = WitnessOutcome.MISSING, "nothing follows sat"
     else:
         try:
             witness = parse_witness(text)
-        except Malformed as error:
-            outcome, message = WitnessOutcome.MALFORMED, str(error)
-        else:
-            start = position(instance, witness)
+            place = position(instance, witness)
             # A start that is far outside is not replayed: it may lie anywhere.
-            if start.within:
+            if place.within:
                 margin = (replayer or Replayer(instance, spec)).margin(witness)
-            outcome = judge(start, margin)
-            message = _describe(outcome, start, margin)
+            outcome = judge(place, margin)
+            message = _describe(outcome, place, margin)
+        except Malformed as error:
+            outcome, message, place = WitnessOutcome.MALFORMED, str(error), None
     return WitnessCheck(
         instance=instance.id,
         outcome=outcome,
         message=message,
         margin=margin if math.isfinite(margin) else None,
-        outside=start.distance if start else None,
+        outside=place.outside if place else None,
         witness_sha256=hashlib.sha256(text).hexdigest(),
         spec_sha256=hashlib.sha256(read_text(spec)).hexdigest(),
         onnx_sha256=instance.controller.sha256,
@@ -168,13 +190,17 @@ def check_witness(
     )
 
 
-def _describe(outcome: WitnessOutcome, start: Position, margin: float) -> str:
+def _describe(outcome: WitnessOutcome, place: Position, margin: float) -> str:
     parts = []
-    if not start.inside:
-        parts.append(f"the start lies {start.distance:.3g} outside the initial set")
-    if start.within and math.isnan(margin):
+    if place.distance > 0:
+        parts.append(f"the start lies {place.distance:.3g} outside the initial set")
+    if place.noise > 0:
+        parts.append(f"the noise is {place.noise:.3g} m too large")
+    if place.rays is not None:
+        parts.append(place.rays)
+    if place.within and math.isnan(margin):
         parts.append("the network returned a value that is not finite")
-    elif start.within:
+    elif place.within:
         parts.append(f"least margin {margin:.6g} m")
     if outcome is WitnessOutcome.CORRECT_WITH_TOLERANCE:
         parts.append(f"the tolerance is {TOLERANCE:g}")
@@ -190,8 +216,3 @@ def check_file(spec: Path, path: Path) -> WitnessCheck:
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror})") from None
     return check_witness(instance, spec, witness_in(content))
-
-
-def format_witness(witness: Witness) -> str:
-    """Return the text that stands after ``sat``; every number reads back as the same double."""
-    return json.dumps(witness.model_dump()) + "\n"

@@ -1,6 +1,7 @@
-"""LiDAR faults: missing rays and noise, seeded run by run.
+"""LiDAR faults: missing rays and noise, seeded run by run or given.
 
-A missing ray reads the LiDAR's range. The paper's pattern (section 6 there): five ray
+Random faults are drawn from a model; given ones, of a witness, are stated value by value. A
+missing ray reads the LiDAR's range. The paper's pattern (section 6 there): five ray
 indices drawn with replacement at the start of a run and kept for it, active only in the
 turn, and on top noise uniform in [0, 0.2] m at every ray and step.
 """
@@ -74,6 +75,35 @@ class DrawnFaults:
             scan = np.minimum(scan + noise, self.reach)
         if self.faults.missing:
             gone = self.gone & in_turn(state, self.width) if self.faults.turn_only else self.gone
+            scan = np.where(gone, self.reach, scan)
+        return scan
+
+
+@dataclass(frozen=True, eq=False)
+class GivenFaults:
+    """Faults of a batch of runs, value by value; called on each scan (closed_loop.Disturb).
+
+    Noise is added, the sum is clipped to [0, reach], and then missing rays read ``reach``.
+
+    width: of the halls (metres); reach: range of the LiDAR (metres); gone: which rays are
+    missing, ``[rays, runs]`` for the whole run or ``[steps, rays, runs]``; turn_only: whether
+    they are missing only where ``0 < s < W and f <= W + 1``; noise: ``[steps, rays, runs]``,
+    metres.
+    """
+
+    width: float
+    reach: float
+    gone: NDArray[np.bool_] | None = None
+    turn_only: bool = True
+    noise: Array | None = None
+
+    def __call__(self, step: int, state: State, scan: Array) -> Array:
+        """Return the scan ``[rays, runs]`` (metres) with noise added and rays missing."""
+        if self.noise is not None:
+            scan = np.clip(scan + self.noise[step], 0.0, self.reach)
+        if self.gone is not None:
+            gone = self.gone[step] if self.gone.ndim == 3 else self.gone
+            gone = gone & in_turn(state, self.width) if self.turn_only else gone
             scan = np.where(gone, self.reach, scan)
         return scan
 

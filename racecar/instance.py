@@ -16,19 +16,19 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from racecar.bicycle import Bicycle
 from racecar.closed_loop import Plant
 from racecar.controller import Controller, parse_controller, write_whole
+from racecar.data import Data, Number, Positive, parse_data
+from racecar.disturbance import Disturbance
 from racecar.errors import BadInput
 from racecar.lidar import Lidar
 from racecar.polygon import Polygon
 from racecar.safety import PROPERTIES, Property, named_property
 from racecar.track import Hall, Track
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(allow_inf_nan=False, gt=0)]
 #: A half-plane ``a_s s + a_f f <= b`` as ``[a_s, a_f, b]``.
 Constraint = tuple[Number, Number, Number]
 #: A convex polygon: all of its constraints hold.
@@ -36,11 +36,7 @@ Constraints = Annotated[list[Constraint], Field(min_length=1)]
 Identifier = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=200)]
 
 
-class _Data(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
-
-
-class ControllerReference(_Data):
+class ControllerReference(Data):
     """Which controller drives."""
 
     name: Identifier
@@ -48,7 +44,7 @@ class ControllerReference(_Data):
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$", description="of the ONNX file")
 
 
-class BicycleData(_Data):
+class BicycleData(Data):
     """The kinematic bicycle model: see racecar.bicycle."""
 
     throttle: Number = Field(description="u")
@@ -60,7 +56,7 @@ class BicycleData(_Data):
     slip: bool = Field(description="whether beta = atan(l_r tan(delta) / (l_f + l_r)), else 0")
 
 
-class LidarData(_Data):
+class LidarData(Data):
     """The LiDAR: rays equally spaced over the field of view, the first at its right end."""
 
     rays: int = Field(ge=2, le=100_000)
@@ -68,14 +64,14 @@ class LidarData(_Data):
     range: Positive = Field(description="m; readings are clipped here")
 
 
-class HallData(_Data):
+class HallData(Data):
     """One hall: its outer length (both corner squares included) and where it turns."""
 
     length: Positive = Field(description="m")
     turn: Literal["right", "left"] | None
 
 
-class AdvanceData(_Data):
+class AdvanceData(Data):
     """The change to the next frame, taken at the end of a control step.
 
     If ``guard[0] s + guard[1] f > guard[2]``: ``(s, f) <- matrix (s, f) + offset``,
@@ -89,14 +85,14 @@ class AdvanceData(_Data):
     rotation: Number = Field(description="rad")
 
 
-class FrameData(_Data):
+class FrameData(Data):
     """The local frame of one hall: walls as convex polygons, and the change to the next."""
 
     obstacles: list[Constraints]
     advance: AdvanceData | None
 
 
-class PlantData(_Data):
+class PlantData(Data):
     """Everything but the controller."""
 
     period: Positive = Field(description="control period, s")
@@ -108,7 +104,7 @@ class PlantData(_Data):
     frames: list[FrameData] = Field(description="one per hall; they follow from the halls")
 
 
-class InitialSet(_Data):
+class InitialSet(Data):
     """A box of start states, [lower, upper] each, in the frame of the first hall."""
 
     s: tuple[Number, Number] = Field(description="distance to the left wall, m")
@@ -132,18 +128,18 @@ class InitialSet(_Data):
         return box[:, 0], box[:, 1]
 
 
-class PropertyData(_Data):
+class PropertyData(Data):
     """The unsafe set: ``unsafe[i]`` lists the convex polygons of frame i."""
 
     name: Identifier
     unsafe: list[Annotated[list[Constraints], Field(min_length=1)]]
 
 
-class Instance(_Data):
+class Instance(Data):
     """One question: can the car, from some start state, enter the unsafe set?
 
     The car may be unsafe at any time in ``[0, steps * period]``, not only at control
-    instants.
+    instants. With a disturbance, also: for some of the noise and missing rays that it allows.
     """
 
     format: Literal["closedlap-instance"] = "closedlap-instance"
@@ -153,6 +149,9 @@ class Instance(_Data):
     controller: ControllerReference
     plant: PlantData
     initial_set: InitialSet
+    disturbance: Disturbance | None = Field(
+        default=None, description="of the LiDAR; left out if the readings are exact"
+    )
     steps: int = Field(ge=1, le=100_000, description="control periods")
     property: PropertyData
 
@@ -175,6 +174,11 @@ class Instance(_Data):
                     )
         except BadInput as error:
             raise ValueError(str(error)) from None
+        rays, disturbance = self.plant.lidar.rays, self.disturbance
+        if disturbance is not None and disturbance.missing > rays:
+            raise ValueError(
+                f"disturbance.missing: {disturbance.missing} of {rays} rays cannot be missing"
+            )
         lower, upper = self.initial_set.bounds()
         for wall in plant.track.frames[0].obstacles:
             if wall.relevant(lower[:2], upper[:2], 0.0) is not None:
@@ -243,13 +247,9 @@ def property_data(safety: Property) -> PropertyData:
 def parse_instance(text: str | bytes, where: str) -> Instance:
     """Read an instance from JSON text; BadInput names what is wrong in ``where``."""
     try:
-        return Instance.model_validate_json(text, strict=True)
-    except ValidationError as error:
-        first, count = error.errors()[0], error.error_count()
-        place = ".".join(str(x) for x in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        more = f" (and {count - 1} more)" if count > 1 else ""
-        raise BadInput(f"{where}: {place + ': ' if place else ''}{message}{more}") from None
+        return parse_data(Instance, text)
+    except BadInput as error:
+        raise BadInput(f"{where}: {error}") from None
 
 
 def read_text(path: Path) -> bytes:
@@ -286,7 +286,10 @@ def load_instance_controller(instance: Instance, path: Path) -> Controller:
 
 def format_instance(instance: Instance) -> str:
     """Return the canonical JSON text: the same instance gives the same bytes."""
-    return _format(instance.model_dump(mode="json"), "") + "\n"
+    data = instance.model_dump(mode="json")
+    if instance.disturbance is None:
+        del data["disturbance"]
+    return _format(data, "") + "\n"
 
 
 def _format(value: Any, indent: str) -> str:
@@ -318,12 +321,3 @@ def instance_schema() -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of instance files."""
     schema = Instance.model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
-
-
-class Witness(_Data):
-    """A start state that a tool claims to be unsafe: m, m, m/s, rad."""
-
-    s: Number
-    f: Number
-    v: Number
-    theta: Number

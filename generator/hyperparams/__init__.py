@@ -22,6 +22,9 @@ class PolicyArguments(BaseModel):
     activation: Literal["tanh", "relu"]
     critic: list[Positive]
     critic_activation: Literal["tanh", "relu"]
+    weight_decay: Annotated[float, Field(ge=0)] | None = Field(
+        None, description="of both optimisers (Adam's L2 term); smaller weights steer more smoothly"
+    )
 
 
 class Hyperparameters(BaseModel):

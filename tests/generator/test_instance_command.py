@@ -92,7 +92,60 @@ def test_json_names_the_result(onnx, tmp_path):
     assert json.loads(result.stdout)["id"] == "i"
 
 
+def test_ranges_make_a_state_box(onnx, tmp_path):
+    output = tmp_path / "i.json"
+    options = "--front 9.88 9.9 --speed=0 0.05 --heading -1.5 -.5"
+    assert run(onnx, output, *options.split()).exit_code == 0
+    made = load_instance(output)
+    assert made.initial_set.s == (0.65, 0.655)
+    assert made.initial_set.f == (9.88, 9.9)
+    assert made.initial_set.v == (0.0, 0.05)
+    assert made.initial_set.theta == (math.radians(-1.5), math.radians(-0.5))
+    assert made.disturbance is None
+
+
+def test_one_start_is_a_point(onnx, tmp_path):
+    output = tmp_path / "i.json"
+    assert run(onnx, output, start=("0.7",)).exit_code == 0
+    assert load_instance(output).initial_set.s == (0.7, 0.7)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ("--noise 0.005", (0.005, 0, True, "run")),
+        ("--missing 2", (0.0, 2, True, "run")),
+        ("--missing 5 --missing-choice step", (0.0, 5, True, "step")),
+        ("--noise 1e-3 --missing 1 --missing-everywhere", (0.001, 1, False, "run")),
+    ],
+)
+def test_disturbances_reach_the_file(onnx, tmp_path, options, expected):
+    output = tmp_path / "i.json"
+    assert run(onnx, output, *options.split()).exit_code == 0
+    found = json.loads(output.read_text())["disturbance"]
+    assert tuple(found.values()) == expected
+    assert list(found) == ["noise", "missing", "turn_only", "choice"]
+
+
+def test_no_noise_and_no_missing_rays_are_no_disturbance(onnx, tmp_path):
+    output = tmp_path / "i.json"
+    assert run(onnx, output, "--noise", "0", "--missing", "0").exit_code == 0
+    assert "disturbance" not in json.loads(output.read_text())
+
+
 BAD = {
+    "three values of a range": ({"more": ("--front", "9", "9.1", "9.2")}, "9.2"),
+    "a front range upside down": ({"more": ("--front", "9.9", "9.8")}, "f: lower bound 9.9"),
+    "a speed range below 0": ({"more": ("--speed", "-0.1", "0.1")}, "backwards"),
+    "a heading that is no number": ({"more": ("--heading", "left")}, "'left' is not"),
+    "negative noise": ({"more": ("--noise", "-0.005")}, "--noise"),
+    "noise that is no number": ({"more": ("--noise", "5mm")}, "'5mm' is not a decimal number"),
+    "infinite noise": ({"more": ("--noise", "inf")}, "exactly"),
+    "negative missing rays": ({"more": ("--missing", "-1")}, "--missing"),
+    "more missing rays than rays": ({"more": ("--missing", "6")}, "6 of 5 rays"),
+    "another choice": ({"more": ("--missing", "1", "--missing-choice", "lap")}, "lap"),
+    "a choice of no rays": ({"more": ("--missing-choice", "step")}, "give --missing K"),
+    "no rays everywhere": ({"more": ("--missing-everywhere",)}, "give --missing K"),
     "LO above HI": ({"start": ("0.7", "0.6")}, "lower bound 0.7 is above upper bound 0.6"),
     "a bound that is no number": ({"start": ("a", "0.6")}, "'a' is not a decimal number"),
     "a bound of NaN": ({"start": ("nan", "0.6")}, "exactly"),

@@ -56,7 +56,16 @@ class Benchmarks:
     def onnx(self):
         return self.folder / "onnx" / "straight.onnx"
 
-    def add(self, name, s=(0.65, 0.85), steps=SHORT, category="quick", timeout=10.0, **box):
+    def add(
+        self,
+        name,
+        s=(0.65, 0.85),
+        steps=SHORT,
+        category="quick",
+        timeout=10.0,
+        disturbance=None,
+        **box,
+    ):
         """Add an instance and return its file."""
         if not self.onnx.exists():
             save_controller(straight_controller(), self.onnx)
@@ -72,6 +81,7 @@ class Benchmarks:
             ),
             plant=plant_data(plant),
             initial_set=InitialSet(**{"s": s, "f": (9.9, 9.9), "v": POINT, "theta": POINT, **box}),
+            disturbance=disturbance,
             steps=steps,
             property=property_data(named_property("clearance", plant.track)),
         )

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from harness_helpers import LONG, SHORT, harness, straight_controller, ulps_above
 
+from harness.answer import LARGEST_WITNESS
 from harness.records import WitnessOutcome
 from harness.replay import TOLERANCE, Malformed, Replayer, check_witness, parse_witness
 from racecar.closed_loop import State, simulate
 from racecar.controller import load_controller, save_controller
 from racecar.errors import BadInput
-from racecar.instance import Witness, load_instance
+from racecar.instance import load_instance
+from racecar.witness import Witness
 
 OUTCOME = WitnessOutcome
 
@@ -100,7 +102,7 @@ def test_a_crash_later_is_found_between_control_instants(benchmarks):
         b'{"s": 0.7, "f": 9.9, "v": 0, "theta": 0} trailing',
         b"[" * 100_000,
         b"\xff\xfe{}",
-        b'{"s": 0.7, "f": 9.9, "v": 0, "theta": 0}' + b" " * (1 << 20),
+        b'{"s": 0.7, "f": 9.9, "v": 0, "theta": 0}' + b" " * LARGEST_WITNESS,
     ],
 )
 def test_malformed_witnesses(benchmarks, text):

@@ -13,9 +13,10 @@ from harness_helpers import LONG, carriers, harness
 from harness import falsifier
 from harness.falsifier import Box, falsify
 from harness.records import WitnessOutcome
-from harness.replay import Replayer, check_witness, format_witness
+from harness.replay import Replayer, check_witness
 from harness.tool import SHIPPED, find_tool, shipped_tools
 from racecar.instance import load_instance
+from racecar.witness import format_witness
 
 
 def run(benchmarks, tool, tmp_path, *options):

@@ -6,10 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from racecar.closed_loop import State
 from racecar.errors import BadInput
-from racecar.faults import FAULTS, DrawnFaults, Faults, in_turn
+from racecar.faults import FAULTS, DrawnFaults, Faults, GivenFaults, in_turn
 
 RAYS, RUNS = 21, 4000
 IN_TURN, IN_HALL = (0.75, 1.0), (0.75, 9.0)
@@ -123,3 +125,57 @@ def test_a_seed_gives_the_same_faults_again():
 def test_wrong_faults_are_refused(wrong):
     with pytest.raises(BadInput, match="faults"):
         Faults(**wrong)
+
+
+# --- Faults that are given ---------------------------------------------------------------
+
+
+def reading(distance: float, noise: float, missing: bool) -> float:
+    """Say what one ray reads, as the instances define it."""
+    return 5.0 if missing else max(0.0, min(5.0, distance + noise))
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    turn_only=st.booleans(),
+    per_step=st.booleans(),
+    noisy=st.booleans(),
+)
+def test_given_faults_are_noise_then_clipping_then_missing_rays(seed, turn_only, per_step, noisy):
+    random = np.random.default_rng(seed)
+    steps, rays, runs = 3, 4, 5
+    scan = random.uniform(0, 5, (steps, rays, runs))
+    noise = random.uniform(-3, 3, (steps, rays, runs)) if noisy else None
+    gone = random.random((steps, rays, runs) if per_step else (rays, runs)) < 0.4
+    places = [IN_TURN if random.random() < 0.5 else IN_HALL for _ in range(runs)]
+    state = State.start([s for s, _ in places], [f for _, f in places])
+    faults = GivenFaults(1.5, 5.0, gone, turn_only, noise)
+    for step in range(steps):
+        found = faults(step, state, scan[step])
+        for ray in range(rays):
+            for run in range(runs):
+                missing = gone[step, ray, run] if per_step else gone[ray, run]
+                active = places[run] == IN_TURN or not turn_only
+                expected = reading(
+                    scan[step, ray, run],
+                    noise[step, ray, run] if noisy else 0.0,
+                    bool(missing and active),
+                )
+                assert found[ray, run] == expected
+
+
+def test_nothing_given_leaves_the_scan_alone():
+    scan = np.random.default_rng(0).uniform(0, 5, (RAYS, RUNS))
+    assert (GivenFaults(1.5, 5.0)(0, cars(IN_TURN), scan) == scan).all()
+
+
+@pytest.mark.parametrize("place", [IN_TURN, IN_HALL])
+def test_drawn_faults_given_value_by_value_are_the_same(place):
+    drawn = draw(FAULTS["paper"])
+    again = np.random.default_rng(0)  # the generator that drew them
+    again.integers(RAYS, size=(5, RUNS))
+    values = 0.2 * again.random((RUNS, RAYS)).T
+    scan = np.random.default_rng(1).uniform(0, 5, (RAYS, RUNS))
+    given_faults = GivenFaults(1.5, 5.0, drawn.gone, True, values[None])
+    state = cars(place)
+    assert (given_faults(0, state, scan) == drawn(0, state, scan)).all()

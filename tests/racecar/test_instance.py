@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from racecar.bicycle import Bicycle
 from racecar.closed_loop import Plant, State, simulate
 from racecar.controller import Controller, Layer, save_controller
+from racecar.disturbance import Disturbance
 from racecar.errors import BadInput
 from racecar.instance import (
     ControllerReference,
@@ -44,6 +45,7 @@ def make_instance(
     s: tuple[float, float] = (0.65, 0.655),
     steps: int = 70,
     sha256: str = "0" * 64,
+    disturbance: Disturbance | None = None,
     **car: Any,
 ) -> Instance:
     plant = Plant(track or square_track(), Bicycle(**car), Lidar())
@@ -53,11 +55,19 @@ def make_instance(
         controller=ControllerReference(name="C", file="../onnx/C.onnx", sha256=sha256),
         plant=plant_data(plant),
         initial_set=InitialSet(s=s, f=(2.9, 2.9), v=(0.0, 0.0), theta=(0.0, 0.0)),
+        disturbance=disturbance,
         steps=steps,
         property=property_data(named_property(safety, plant.track)),
     )
 
 
+DISTURBANCES = st.builds(
+    Disturbance,
+    noise=st.floats(1e-9, 1),
+    missing=st.integers(0, 21),
+    turn_only=st.booleans(),
+    choice=st.sampled_from(["run", "step"]),
+)
 PLACES = st.tuples(st.floats(0.01, 0.9), st.floats(0.01, 0.9)).map(sorted).map(tuple)
 
 
@@ -69,9 +79,12 @@ PLACES = st.tuples(st.floats(0.01, 0.9), st.floats(0.01, 0.9)).map(sorted).map(t
     steps=st.integers(1, 100_000),
     slip=st.booleans(),
     throttle=st.floats(4, 100),
+    disturbance=st.none() | DISTURBANCES,
 )
-def test_reading_gives_back_what_was_written(track, safety, s, steps, slip, throttle):
-    instance = make_instance(track, safety, s, steps, slip=slip, throttle=throttle)
+def test_reading_gives_back_what_was_written(track, safety, s, steps, slip, throttle, disturbance):
+    instance = make_instance(
+        track, safety, s, steps, disturbance=disturbance, slip=slip, throttle=throttle
+    )
     text = format_instance(instance)
     again = parse_instance(text, "test")
     assert again == instance
@@ -180,6 +193,26 @@ BAD_INSTANCES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     ),
     "missing unsafe set": (drop("property", "unsafe", 3), "one list per frame is needed"),
     "empty unsafe set": (put("property", "unsafe", 0, []), "property.unsafe.0: "),
+    "no disturbance in a disturbance": (
+        put("disturbance", "noise", 0),
+        "neither noise nor missing",
+    ),
+    "negative noise": (put("disturbance", "noise", -0.005), "disturbance.noise: "),
+    "infinite noise": (put("disturbance", "noise", float("inf")), "disturbance.noise: "),
+    "noise as text": (put("disturbance", "noise", "0.005"), "disturbance.noise: "),
+    "half a ray": (put("disturbance", "missing", 0.5), "disturbance.missing: "),
+    "negative rays": (put("disturbance", "missing", -1), "disturbance.missing: "),
+    "more rays than there are": (
+        put("disturbance", "missing", 22),
+        "disturbance.missing: 22 of 21 rays cannot be missing",
+    ),
+    "other choice": (put("disturbance", "choice", "turn"), "disturbance.choice: "),
+    "turn only by number": (put("disturbance", "turn_only", 1), "disturbance.turn_only: "),
+    "a disturbance without a choice": (
+        drop("disturbance", "choice"),
+        "disturbance.choice: Field required",
+    ),
+    "an unknown disturbance": (put("disturbance", "bias", 0.1), "disturbance.bias: "),
     "empty polygon": (put("property", "unsafe", 0, 0, []), "property.unsafe.0.0: "),
 }
 
@@ -188,6 +221,7 @@ BAD_INSTANCES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
 def test_a_bad_instance_is_refused_in_one_line(name: str, tmp_path: Path):
     change, message = BAD_INSTANCES[name]
     data = copy.deepcopy(GOOD)
+    data["disturbance"] = {"noise": 0.005, "missing": 0, "turn_only": True, "choice": "run"}
     change(data)
     path = tmp_path / "bad.json"
     path.write_text(json.dumps(data))
@@ -204,6 +238,42 @@ def test_a_bad_instance_is_refused_in_one_line(name: str, tmp_path: Path):
 def test_text_that_is_no_instance_is_refused(text: str):
     with pytest.raises(BadInput, match=r"^here: .") as caught:
         parse_instance(text, "here")
+    assert "\n" not in str(caught.value)
+
+
+def test_an_undisturbed_instance_says_nothing_of_disturbances():
+    data = json.loads(format_instance(make_instance()))
+    assert "disturbance" not in data
+    data["disturbance"] = None
+    assert parse_instance(json.dumps(data), "here") == make_instance()
+
+
+def test_a_disturbance_is_written_in_full():
+    disturbance = Disturbance(noise=0.005, missing=1, turn_only=True, choice="run")
+    data = json.loads(format_instance(make_instance(disturbance=disturbance)))
+    assert data["disturbance"] == {
+        "noise": 0.005,
+        "missing": 1,
+        "turn_only": True,
+        "choice": "run",
+    }
+
+
+@pytest.mark.parametrize(
+    ("once", "twice", "key"),
+    [
+        ('"steps": 70', '"steps": 70, "steps": 70', "steps"),
+        ('"steps": 70', '"steps": 70, "\\u0073teps": 5', "steps"),
+        ('"width": 1.5', '"width": 1.4, "width": 1.5', "width"),
+        ('"turn": "right"', '"turn": "left", "turn": "right"', "turn"),
+    ],
+)
+def test_a_key_that_is_given_twice_is_refused(once, twice, key):
+    text = format_instance(make_instance())
+    assert once in text
+    parse_instance(text, "here")
+    with pytest.raises(BadInput, match=f'^here: the key "{key}" is given twice') as caught:
+        parse_instance(text.replace(once, twice), "here")
     assert "\n" not in str(caught.value)
 
 
