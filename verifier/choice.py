@@ -8,184 +8,275 @@ and u_j is no less than 1 / range. Any other wall lies no nearer if
                                                                      and g_k <= 0 or h_k <= 0).
 
 The one of these that holds by most in the middle of the row is asked for on all of it.
+
+What must hold is a guard G >= 0 with a code:
+
+    nearer (a, b):  u_a >= u_b, of faces or the range; the measurement is continuous where it
+                    fails (a kink)
+    passes (p, +-): X_p >= 0 or X_p <= 0; the measurement jumps where it fails
+    recedes k:      h_k <= 0
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from verifier.compiled.kernel import kernel
+from verifier.compiled.trace import Trace, Value, maximum, minimum, where
 from verifier.models import Array
-from verifier.rows import Decision
-from verifier.walls import Index, Walls
-
-#: Stands for the range instead of a face: u = 1 / range.
-RANGE = -1
+from verifier.rows import Assumption, Decision
+from verifier.walls import NEAREST, RANGE, Faces, Index, Walls, grid
 
 
-@dataclass(frozen=True)
-class Nearer:
-    """Guards u_first >= u_second; the measurement is continuous where they fail (kinks)."""
+class Codes:
+    """The codes of guards among ``count`` faces and ``pairs`` cross products; 0 is no guard."""
 
-    first: Index
-    second: Index
-    ray: Index
-    row: Index
+    def __init__(self, count: int, pairs: int) -> None:
+        self._count = count
+        self.passes_from = 1 + (count + 1) ** 2
+        self.recedes_from = self.passes_from + 2 * pairs
+        self.end = self.recedes_from + count
+
+    def nearer(self, a: Any, b: Any) -> Any:
+        """Return the code of u_a >= u_b, of numbers or Values; RANGE is a face, too."""
+        return (a + 1) * (self._count + 1) + (b + 2)
+
+    def nearer_faces(self, code: Index) -> tuple[Index, Index]:
+        """Return a and b of a code of ``nearer``."""
+        a, b = np.divmod(code - 1, self._count + 1)
+        return a - 1, b - 1
+
+    def passes(self, pair: int, positive: bool) -> int:
+        """Return the code of X_pair >= 0, or <= 0."""
+        return self.passes_from + 2 * pair + (1 - positive)
+
+    def recedes(self, face: int) -> int:
+        """Return the code of h_face <= 0."""
+        return self.recedes_from + face
 
 
-@dataclass(frozen=True)
-class Passes:
-    """Guards sign X_pair >= 0; the measurement jumps where they fail."""
+class Meaning:
+    """What each code asks for: sign x (an entry of the walls' table) + constant / range >= 0.
 
-    pair: Index
-    sign: Array
-    ray: Index
-    row: Index
+    entry, sign, constant: ``[codes]``.
+    """
 
+    def __init__(self, faces: Faces) -> None:
+        self.codes = codes = Codes(faces.count, len(faces.pairs))
+        self.entry = np.zeros(codes.end, dtype=np.intp)
+        self.sign = np.ones(codes.end)
+        self.constant = np.zeros(codes.end)
+        for j in range(faces.count):
+            self._set(codes.nearer(j, RANGE), faces.ratios + j, 1.0, -1.0)
+            self._set(codes.nearer(RANGE, j), faces.ratios + j, -1.0, 1.0)
+            self._set(codes.recedes(j), j, -1.0)
+        for n, (j, k) in enumerate(faces.twos):
+            self._set(codes.nearer(j, k), faces.differences + n, 1.0)
+            self._set(codes.nearer(k, j), faces.differences + n, -1.0)
+        #: The cross product and the sign that say whether constraint k holds where j is met.
+        self.cross_of = {}
+        for p, (j, k) in enumerate(faces.pairs):
+            self.cross_of[j, k], self.cross_of[k, j] = (p, True), (p, False)
+            self._set(codes.passes(p, True), faces.crosses + p, 1.0)
+            self._set(codes.passes(p, False), faces.crosses + p, -1.0)
+        self.place = {
+            (faces.faces[j].polygon, faces.faces[j].place, faces.faces[k].place): p
+            for p, (j, k) in enumerate(faces.pairs)
+        }
 
-@dataclass(frozen=True)
-class Recedes:
-    """Guards h_face <= 0."""
-
-    face: Index
-    ray: Index
-    row: Index
+    def _set(self, code: int, entry: int, sign: float, constant: float = 0.0) -> None:
+        self.entry[code], self.sign[code], self.constant[code] = entry, sign, constant
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The face met ``[rays, rows]`` (or RANGE), its guards, and rows without an answer."""
+    """What rays meet: ``winner`` ``[rays x rows]``, faces or RANGE.
+
+    code, ray, row: guards ``[N]``; unclear: ``[rows]``, rows without an answer.
+    """
 
     winner: Index
-    nearer: Nearer
-    passes: Passes
-    recedes: Recedes
+    code: Index
+    ray: Index
+    row: Index
     unclear: NDArray[np.bool_]
 
 
-class _Collector:
-    """Gathers guards of one kind as flat arrays."""
-
-    def __init__(self, columns: int) -> None:
-        self._parts: list[list[NDArray]] = [[] for _ in range(columns)]
-
-    def add(self, where: NDArray[np.bool_], *values: NDArray | float) -> None:
-        ray, row = np.nonzero(where)
-        columns = [
-            v[ray, row] if isinstance(v, np.ndarray) else np.full(ray.shape, v) for v in values
-        ]
-        for part, column in zip(self._parts, [*columns, ray, row], strict=True):
-            part.append(column)
-
-    def columns(self) -> list[NDArray]:
-        return [np.concatenate(p) if p else np.zeros(0, dtype=np.intp) for p in self._parts]
-
-
 def choose(
-    walls: Walls, cosine: Array, sine: Array, reach: float,
-    decisions: Sequence[Sequence[Decision]],
+    walls: Walls, meaning: Meaning, directions: Array, reach: float,
+    decisions: Sequence[Sequence[Assumption]],
 ) -> Choice:  # fmt: skip
-    """Choose the face met by each ray (directions ``[rays]``) from the middle of each row."""
-    rate, ratio, cross = walls.centres(cosine, sine)
-    decided = _apply(walls, cross, decisions)
-    pair_of = {}
-    for p, (j, k) in enumerate(walls.pairs):
-        pair_of[j, k], pair_of[k, j] = (p, 1.0), (p, -1.0)
-    by_wall: dict[int, list[int]] = {}
-    for j, face in enumerate(walls.faces):
-        by_wall.setdefault(face.polygon, []).append(j)
+    """Choose the face met by each ray from the middle of each row.
 
-    rays, rows = len(cosine), walls.low.shape[1]
-    best = np.full((rays, rows), 1 / reach)
-    winner = np.full((rays, rows), RANGE, dtype=np.intp)
-    for faces in by_wall.values():
-        for j in faces:
-            hit = ratio[j] > best
-            for k in faces:
-                if k != j:
-                    p, sign = pair_of[j, k]
-                    hit &= sign * cross[p] >= 0
-            best, winner = np.where(hit, ratio[j], best), np.where(hit, j, winner)
-
-    nearer, passes, recedes = _Collector(4), _Collector(4), _Collector(3)
-    unclear = np.zeros(rows, dtype=bool)
-    for faces in by_wall.values():
-        met = np.isin(winner, faces)
-        for j in faces:
-            here = winner == j
-            nearer.add(here, j, RANGE)
-            for k in faces:
-                if k != j:
-                    p, sign = pair_of[j, k]
-                    kink = here & walls.usable[k]
-                    nearer.add(kink, k, j)
-                    passes.add(here & ~walls.usable[k] & ~decided[p], p, sign)
-        options = _options(walls, faces, pair_of, best, rate, ratio, cross)
-        slack = np.stack([o.slack for o in options])
-        chosen = slack.argmax(axis=0)
-        unclear |= np.any(~met & (slack.max(axis=0) < 0), axis=0)
-        for n, option in enumerate(options):
-            where = ~met & (chosen == n)
-            if option.pair is None:
-                nearer.add(where, winner, option.face)
-                continue
-            p, sign = option.pair
-            passes.add(where & ~decided[p], p, -sign)
-            recedes.add(where & ~(walls.high[option.face] <= 0), option.face)
+    directions: ``[2 or more, rays]``, cosine and sine first.
+    """
+    faces, rows = walls.faces, walls.rows
+    rays = directions.shape[1]
+    ray, row = grid(rays, rows)
+    decided = _decided(walls, meaning, rays, decisions)
+    program = _choice(faces.walls, faces.count, len(faces.twos), reach, decided is not None)
+    near = np.concatenate([walls.low, walls.high, walls.miss_centre])
+    tables = [directions[:2], walls.centres, near]
+    found = program(len(ray), tables if decided is None else [*tables, decided], [ray, row])
+    slots = found[2:].ravel()
+    at = np.flatnonzero(slots)
+    places = at % len(ray)
     return Choice(
-        winner,
-        Nearer(*nearer.columns()),
-        Passes(*passes.columns()),
-        Recedes(*recedes.columns()),
-        unclear,
+        found[0].astype(np.intp),
+        slots[at].astype(np.intp),
+        ray[places],
+        row[places],
+        found[1].reshape(rays, rows).any(axis=0),
     )
 
 
-@dataclass(frozen=True)
-class _Option:
-    """A way for a wall to lie no nearer; slack ``[rays, rows]``, -inf where it cannot be used."""
-
-    slack: Array
-    face: int
-    pair: tuple[int, float] | None = None
-
-
-def _options(
-    walls: Walls, faces: list[int], pair_of: dict[tuple[int, int], tuple[int, float]],
-    best: Array, rate: Array, ratio: Array, cross: Array,
-) -> list[_Option]:  # fmt: skip
-    options = []
-    for k in faces:
-        usable = walls.usable[k]
-        options.append(_Option(np.where(usable, best - ratio[k], -np.inf), k))
-        for j in faces:
-            if j == k:
-                continue
-            p, sign = pair_of[j, k]
-            slack = -sign * cross[p] / np.maximum(walls.miss_centre[j], 1e-3)
-            slack = np.where(walls.high[k] <= 0, slack, np.minimum(slack, -rate[k]))
-            options.append(_Option(np.where(walls.low[j] > 0, slack, -np.inf), k, (p, sign)))
-    return options
-
-
-def _apply(
-    walls: Walls, cross: Array, decisions: Sequence[Sequence[Decision]]
-) -> NDArray[np.bool_]:
-    """Force the crosses that rows assume; return which ``[pairs, rays, rows]`` they are."""
-    decided = np.zeros(cross.shape, dtype=bool)
+def _decided(
+    walls: Walls, meaning: Meaning, rays: int, decisions: Sequence[Sequence[Assumption]]
+) -> Array | None:
+    """Return the signs of cross products that rows assume ``[pairs, rays x rows]``, else 0."""
     if not any(decisions):
-        return decided
-    place = {
-        (walls.faces[j].polygon, walls.faces[j].place, walls.faces[k].place): p
-        for p, (j, k) in enumerate(walls.pairs)
-    }
+        return None
+    rows = walls.rows
+    decided = np.zeros((len(meaning.place), rays * rows))
     for row, assumed in enumerate(decisions):
         for d in assumed:
-            p = place.get((d.polygon, d.front, d.back))
+            if not isinstance(d, Decision):
+                continue
+            p = meaning.place.get((d.polygon, d.front, d.back))
             if p is not None:
-                cross[p, d.ray, row] = np.inf if d.positive else -np.inf
-                decided[p, d.ray, row] = True
-    return decided
+                decided[p, d.ray * rows + row] = 1.0 if d.positive else -1.0
+    return decided if len(decided) else None
+
+
+@kernel
+def _choice(
+    trace: Trace, walls: tuple[tuple[int, ...], ...], count: int, twos: int, reach: float,
+    with_decided: bool,
+) -> list[Value]:  # fmt: skip
+    """The face met, whether that is unclear, and the codes of guards, of a ray and a row."""
+    ray, row = trace.index(), trace.index()
+    view = _View(trace, ray, row, walls, count, twos)
+    if with_decided:
+        view.assume(trace.table(len(view.cross)))
+    best, winner = trace.number(1 / reach), trace.number(float(RANGE))
+    for members in walls:
+        for j in members:
+            hit = view.ratio[j] > best
+            for k in members:
+                if k != j:
+                    hit = hit & (view.inside(j, k) >= 0.0)
+            best = where(hit, view.ratio[j], best)
+            winner = where(hit, float(j), winner)
+    guards = _guards_of_winner(view, walls, winner)
+    unclear = trace.number(0.0)
+    for members in walls:
+        met = (winner >= float(members[0])) & (winner <= float(members[-1]))
+        slack, code, recedes = _beyond(view, members, best, winner)
+        unclear = where(~met & (slack < 0.0), 1.0, unclear)
+        guards += [where(met, 0.0, code), where(met, 0.0, recedes)]
+    return [winner, unclear, *guards]
+
+
+class _View:
+    """What a ray sees from the middle of a row.
+
+    rate, ratio (-inf where not usable), miss: of each face; cross: X of each pair; assumed: 0,
+    or the sign of X that the row assumes.
+    """
+
+    def __init__(
+        self, trace: Trace, ray: int, row: int, walls: tuple[tuple[int, ...], ...], count: int,
+        twos: int,
+    ) -> None:  # fmt: skip
+        pairs = sum(len(members) * (len(members) - 1) // 2 for members in walls)
+        entries = 2 * count + twos + pairs
+        cosine, sine = trace.table(2, ray)
+        centres = trace.table(2 * entries, row)
+        combined = [
+            cosine * a + sine * b for a, b in zip(centres[:entries], centres[entries:], strict=True)
+        ]
+        near = trace.table(3 * count, row)
+        self.low, self.high, self.miss = near[:count], near[count : 2 * count], near[2 * count :]
+        self.usable = [x > NEAREST for x in self.low]
+        self.rate = combined[:count]
+        self.ratio = [
+            where(usable, x, -np.inf)
+            for usable, x in zip(self.usable, combined[count : 2 * count], strict=True)
+        ]
+        self.cross = combined[2 * count + twos :]
+        self.assumed = [trace.number(0.0)] * pairs
+        self.codes = Codes(count, pairs)
+        order = [pair for members in walls for pair in _pairs(members)]
+        self.pair = {pair: p for p, pair in enumerate(order)}
+
+    def assume(self, signs: list[Value]) -> None:
+        """Let cross products have the signs that a row assumes."""
+        self.assumed = signs
+        self.cross = [
+            where(sign > 0.0, np.inf, where(sign < 0.0, -np.inf, x))
+            for sign, x in zip(signs, self.cross, strict=True)
+        ]
+
+    def inside(self, j: int, k: int) -> Value:
+        """Return what is >= 0 where constraint k holds as the ray meets j."""
+        return self.cross[self.pair[j, k]] if j < k else -self.cross[self.pair[k, j]]
+
+    def passes(self, j: int, k: int, positive: bool) -> Value:
+        """Return the code of ``inside`` >= 0 (or <= 0); 0 where the row assumes it."""
+        p = self.pair[min(j, k), max(j, k)]
+        code = self.codes.passes(p, positive == (j < k))
+        return where(abs(self.assumed[p]) > 0.0, 0.0, float(code))
+
+
+def _pairs(members: tuple[int, ...]) -> list[tuple[int, int]]:
+    return [(j, k) for j in members for k in members if j < k]
+
+
+def _guards_of_winner(
+    view: _View, walls: tuple[tuple[int, ...], ...], winner: Value
+) -> list[Value]:
+    """Return codes: within range, and inside the other constraints of its wall."""
+    zero = winner.trace.number(0.0)
+    most = max(len(members) for members in walls)
+    guards = [where(winner >= 0.0, view.codes.nearer(winner, RANGE), 0.0)]
+    others = [zero] * (most - 1)
+    for members in walls:
+        for j in members:
+            here = abs(winner - float(j)) < 0.5
+            for slot, k in enumerate(k for k in members if k != j):
+                kink = float(view.codes.nearer(k, j))
+                code = where(view.usable[k], kink, view.passes(j, k, True))
+                others[slot] = where(here, code, others[slot])
+    return guards + others
+
+
+def _beyond(
+    view: _View, members: tuple[int, ...], best: Value, winner: Value
+) -> tuple[Value, Value, Value]:
+    """Return the best way for a wall to lie no nearer than ``best``: slack, codes of guards."""
+    zero = best.trace.number(0.0)
+    options = []
+    for k in members:
+        slack = where(view.usable[k], best - view.ratio[k], -np.inf)
+        options.append((slack, view.codes.nearer(winner, k), zero))
+        for j in members:
+            if j == k:
+                continue
+            slack = -view.inside(j, k) / maximum(view.miss[j], 1e-3)
+            outside = view.high[k] <= 0.0
+            slack = where(outside, slack, minimum(slack, -view.rate[k]))
+            slack = where(view.low[j] > 0.0, slack, -np.inf)
+            recedes = where(outside, 0.0, float(view.codes.recedes(k)))
+            options.append((slack, view.passes(j, k, False), recedes))
+    slack, code, recedes = options[0]
+    for other, other_code, other_recedes in options[1:]:
+        better = other > slack
+        slack = where(better, other, slack)
+        code = where(better, other_code, code)
+        recedes = where(better, other_recedes, recedes)
+    return slack, code, recedes

@@ -1,20 +1,18 @@
 """exp, tanh, sin and cos at points, with proved error bounds.
 
 No bound rests on the platform's mathematical library: all is +, -, *, / on doubles.
-docs/soundness.md has the proofs of the constants.
+docs/soundness.md has the proofs of the constants. The functions take Values of a trace, or arrays.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from verifier.compiled.trace import Value, maximum, minimum, power_of_two, rint, where
+from verifier.models import lifted
 from verifier.rounding import U
-
-Array = NDArray[np.float64]
 
 #: Relative error of tanh and 1 - tanh^2 as returned by ``tanh_pair``.
 TANH_ERROR: Final = 64 * U
@@ -25,6 +23,7 @@ SIN_COS_RANGE: Final = 1000.0
 _LN2_HIGH = float.fromhex("0x1.62e42fee00000p-1")  # the low 21 bits are 0
 _LN2_LOW = float.fromhex("0x1.a39ef35793c76p-33")
 _EXP = [1 / math.factorial(k) for k in range(15)]
+_ONE_MINUS_EXP = [(-1) ** k / math.factorial(k + 1) for k in range(14)]
 
 _HALF_PI = (
     float.fromhex("0x1.921fb54400000p+0"),  # 33 bits
@@ -35,49 +34,53 @@ _SIN = [(-1) ** k / math.factorial(2 * k + 1) for k in range(10)]
 _COS = [(-1) ** k / math.factorial(2 * k) for k in range(10)]
 
 
-def _horner(coefficients: list[float], x: Array) -> Array:
-    total = np.full_like(x, coefficients[-1])
-    for coefficient in reversed(coefficients[:-1]):
-        total *= x
-        total += coefficient
+def horner(coefficients: Sequence[Value | float], x: Value) -> Value:
+    """Return the polynomial with these coefficients, of rising order, at x."""
+    total = coefficients[-1] * x + coefficients[-2]
+    for coefficient in reversed(coefficients[:-2]):
+        total = total * x + coefficient
     return total
 
 
-def exp_negative(x: Array) -> Array:
-    """Return exp(x) for x <= 0 with a relative error below 16 U; 0 from -700 down.
+@lifted
+def exp_negative(x: Value) -> Value:
+    """Return exp(x) for x <= 0 with a relative error below 16 U; 0 or tiny from -700 down.
 
     x = n ln 2 + r with |r| <= 0.35, Taylor's polynomial of degree 14 at r, times 2^n.
     """
-    x = np.maximum(x, -700.0)
-    n = np.rint(x * (1 / math.log(2)))
+    x = maximum(x, -700.0)
+    n = rint(x * (1 / math.log(2)))
     r = (x - n * _LN2_HIGH) - n * _LN2_LOW
-    return np.ldexp(_horner(_EXP, r), n.astype(np.int32))
+    return horner(_EXP, r) * power_of_two(n)
 
 
-def tanh_pair(x: Array) -> tuple[Array, Array]:
+@lifted
+def tanh_pair(x: Value) -> tuple[Value, Value]:
     """Return tanh(x) and 1 - tanh(x)^2, each with a relative error below TANH_ERROR.
 
     Where exp(-2|x|) is near 1 the difference 1 - exp is taken from the series of expm1.
     """
-    absolute = np.abs(x)
-    e = exp_negative(-2 * absolute)
-    below = np.where(absolute < 0.17, _one_minus_exp(2 * np.minimum(absolute, 0.17)), 1 - e)
-    square = 1 + e
-    return np.copysign(below / square, x), 4 * e / (square * square)
+    absolute = abs(x)
+    e = exp_negative(-2.0 * absolute)
+    # 1 - exp(-y), 0 <= y <= 0.34, with a relative error below 16 U.
+    y = 2.0 * minimum(absolute, 0.17)
+    below = where(absolute < 0.17, y * horner(_ONE_MINUS_EXP, y), 1.0 - e)
+    share = 1.0 / (1.0 + e)
+    value = below * share
+    return where(x < 0.0, -value, value), 4.0 * e * (share * share)
 
 
-def _one_minus_exp(y: Array) -> Array:
-    """Return 1 - exp(-y) for 0 <= y <= 0.34, relative error below 16 U."""
-    return y * _horner([(-1) ** k / math.factorial(k + 1) for k in range(14)], y)
-
-
-def sin_cos(x: Array) -> tuple[Array, Array]:
+@lifted
+def sin_cos(x: Value) -> tuple[Value, Value]:
     """Return sin(x) and cos(x), absolute error below SIN_COS_ERROR for |x| <= SIN_COS_RANGE."""
-    quarter = np.rint(x * (2 / math.pi))
+    quarter = rint(x * (2 / math.pi))
     r = ((x - quarter * _HALF_PI[0]) - quarter * _HALF_PI[1]) - quarter * _HALF_PI[2]
     square = r * r
-    sine, cosine = r * _horner(_SIN, square), _horner(_COS, square)
-    turn = quarter.astype(np.int64) % 4
-    swapped = (turn % 2).astype(bool)
-    sine, cosine = np.where(swapped, cosine, sine), np.where(swapped, sine, cosine)
-    return np.where(turn >= 2, -sine, sine), np.where((turn == 1) | (turn == 2), -cosine, cosine)
+    sine, cosine = r * horner(_SIN, square), horner(_COS, square)
+    # Quarter turns beyond whole ones, exactly: -2, -1, 0, 1 or 2.
+    turn = quarter - 4.0 * rint(quarter * 0.25)
+    odd = abs(abs(turn) - 1.0) < 0.5
+    sine, cosine = where(odd, cosine, sine), where(odd, sine, cosine)
+    lower = (turn < -0.5) | (turn > 1.5)
+    left = (turn < -1.5) | (turn > 0.5)
+    return where(lower, -sine, sine), where(left, -cosine, cosine)

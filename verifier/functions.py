@@ -9,98 +9,100 @@ same recurrence on absolute values ("majorant"), begun with bounds of the values
 whole row, bounds the Taylor coefficients at every x in [-1, 1]; the one of order DEGREE + 1
 is Lagrange's remainder. The computed coefficients err by less than ROUNDING times the
 majorant's sum (docs/soundness.md).
+
+The functions take models of a trace, or batches.
 """
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
+from verifier.arithmetic import DEGREE, TERMS, Model, bounds, error_spread, total_size, unless
+from verifier.compiled.trace import Value, maximum, minimum, where
+from verifier.compiled.trace import total as summed
 from verifier.elementary import SIN_COS_RANGE, sin_cos, tanh_pair
-from verifier.models import DEGREE, TERMS, Array, Models, bounds, error_spread
+from verifier.models import lifted
 from verifier.rounding import TINY, UP, U
 
 #: Relative to the sum of the majorant's coefficients.
 ROUNDING = 2.0**-42
 
-_BINOMIAL = np.array(
-    [[math.comb(j, i) if j >= i else 0 for j in range(TERMS)] for i in range(TERMS)], dtype=float
-)
 
-
-def _majorant(p: Array) -> Array:
+def _majorant(p: list[Value]) -> list[Value]:
     """Return bounds Z[i] >= |p^(i)(x) / i!| for i >= 1; Z[0]: how far p strays from p[0]."""
-    absolute = np.abs(p)
-    return np.tensordot(_BINOMIAL[:, 1:], absolute[1:], axes=(1, 0)) * UP
+    return [
+        summed([math.comb(j, i) * abs(p[j]) for j in range(max(i, 1), TERMS)]) * UP
+        for i in range(TERMS)
+    ]
 
 
-def _sum_products(a: list[Array], b: list[Array], k: int) -> Array:
+def _sum_products(a: list[Value], b: list[Value], k: int) -> Value:
     """Return sum over i = 1..k of i a[i] b[k - i], for lists where a[i] may end early."""
-    total = a[1] * b[k - 1]
-    for i in range(2, min(k, len(a) - 1) + 1):
-        total = total + i * (a[i] * b[k - i])
-    return total
+    terms = [a[i] * b[k - i] for i in range(1, min(k, len(a) - 1) + 1)]
+    return summed([terms[0], *(i * term for i, term in enumerate(terms[1:], 2))])
 
 
-def _square(a: list[Array], k: int) -> Array:
+def _integral(a: list[Value], b: list[Value], k: int) -> Value:
+    """Return the coefficient k of the integral of a'(x) b(x)."""
+    return _sum_products(a, b, k) * (1 / k)
+
+
+def _square(a: list[Value], k: int) -> Value:
     """Return the coefficient k >= 1 of a(x)^2."""
-    total = a[0] * a[k] * 2
-    for i in range(1, (k + 1) // 2):
-        total = total + 2 * (a[i] * a[k - i])
-    if k % 2 == 0:
-        total = total + a[k // 2] * a[k // 2]
-    return total
+    total = 2.0 * summed([a[i] * a[k - i] for i in range((k + 1) // 2)])
+    return total + a[k // 2] * a[k // 2] if k % 2 == 0 else total
 
 
 def _assemble(
-    z: Models,
-    value: list[Array],
-    slope: tuple[Array, Array],
-    slope_size: tuple[Array, Array],
-    slope_rest: Array,
-    curve_most: Array | float,
-    remainder: Array,
-    size: Array,
-) -> Models:
-    """Return the models of g(z).
+    z: Model,
+    value: list[Value],
+    slope: tuple[Value, Value],
+    slope_size: tuple[Value, Value],
+    slope_rest: Value,
+    curve_most: Value | float,
+    remainder: Value,
+    size: Value,
+) -> Model:
+    """Return the model of g(z).
 
     value: coefficients of g(p(x)); slope: the first two of g'(p(x)); slope_size: the
     majorant's, the first of which bounds |g'(p(x))|; slope_rest: bound of the rest of
     g'(p(x)) beyond its first two; curve_most: of |g''| on the whole range; remainder: of
     g(p(x)) beyond its polynomial; size: of all coefficients together, for rounding.
     """
-    error = z.c[TERMS:]
-    c = np.empty((len(z.c), *z.c.shape[1:]))
-    for k, coefficient in enumerate(value):
-        c[k] = coefficient
-    radius = remainder + slope_size[0] * z.radius + ROUNDING * size
+    c, error = list(value), z.e
+    # The last summand is NaN where the argument is not finite.
+    radius = remainder + slope_size[0] * z.radius + ROUNDING * size + 0.0 * z.c[0]
     stray = error_spread(z)
-    radius = radius + 0.5 * curve_most * stray * stray
-    if len(error):
-        c[TERMS:] = slope[0] * error
-        c[TERMS + 1 :: 2] += slope[1] * error[::2]
-        total = np.abs(error).sum(axis=0)
-        radius = radius + np.abs(slope[1]) * np.abs(error[1::2]).sum(axis=0) + slope_rest * total
+    radius = radius + 0.5 * curve_most * (stray * stray)
+    if error:
+        for j, x in enumerate(error):
+            c.append(slope[0] * x if j % 2 == 0 else slope[0] * x + slope[1] * error[j - 1])
+        total = total_size(error)
+        radius = radius + abs(slope[1]) * total_size(error[1::2]) + slope_rest * total
         radius = radius + ROUNDING * (slope_size[0] + slope_size[1]) * total
-    return Models(c, radius * UP + TINY)
+    return Model(c, radius * UP + TINY)
 
 
-def tanh(z: Models) -> Models:
+@lifted
+def tanh(z: Model) -> Model:
     """Enclose the hyperbolic tangent: h' = z' (1 - h^2)."""
-    p = list(z.c[:TERMS])
+    p = z.p
     h0, q0 = tanh_pair(p[0])
     h, q = [h0], [q0]
     for k in range(1, TERMS):
-        h.append(_sum_products(p, q, k) / k)
+        h.append(_integral(p, q, k))
         if k < DEGREE:
             q.append(-_square(h, k))
-    zz = list(_majorant(z.c[:TERMS]))
-    reach = np.maximum(np.abs(p[0]) - zz[0] * UP, 0)
-    most_h, _ = tanh_pair(np.abs(p[0]) + zz[0])
-    hh, qq = [np.minimum(most_h * UP, 1.0)], [np.minimum(tanh_pair(reach)[1] * UP, 1.0)]
+    zz = _majorant(p)
+    # q = 1 - h^2 and h grow from p(0) by no more than this, since (ln q)' = -2 h z' and |h| < 1;
+    # exp(2 d) <= 1 + 2 d + 4 d^2 for d < 0.5.
+    far = zz[0]
+    grown = q0 * (1.0 + 2.0 * far + 4.0 * (far * far)) * UP
+    most = where(far < 0.5, minimum(grown, 1.0), 1.0)
+    hh, qq = [minimum((abs(h0) + most * far) * UP, 1.0)], [most]
     for k in range(1, TERMS + 1):
-        hh.append(_sum_products(zz, qq, k) / k)
+        hh.append(_integral(zz, qq, k))
         qq.append(_square(hh, k))
     return _assemble(
         z,
@@ -110,43 +112,47 @@ def tanh(z: Models) -> Models:
         qq[2] * UP,
         0.77,  # |tanh''| <= 4 / (3 sqrt 3) = 0.7698...
         hh[TERMS] * UP,
-        sum(hh[:TERMS], np.zeros_like(hh[0])),
+        summed(hh[:TERMS]),
     )
 
 
-def sigmoid(z: Models) -> Models:
+@lifted
+def sigmoid(z: Model) -> Model:
     """Return 1 / (1 + exp(-z)) = (1 + tanh(z / 2)) / 2."""
     return tanh(z.times(0.5)).times(0.5).plus(0.5)
 
 
-def relu(z: Models) -> Models:
+@lifted
+def relu(z: Model) -> Model:
     """Return max(z, 0): exact where the sign is known, else the chord over [low, high].
 
     The chord lies above; halfway down to the kink is the middle of what is possible.
     """
     low, high = bounds(z)
-    mixed = (low < 0) & (high > 0)
-    share = np.where(mixed, high / np.where(mixed, high - low, 1.0), (low >= 0).astype(float))
-    middle = np.where(mixed, -0.5 * share * low, 0.0)
+    mixed = (low < 0.0) & (high > 0.0)
+    share = where(mixed, high / where(mixed, high - low, 1.0), where(low >= 0.0, 1.0, 0.0))
+    middle = where(mixed, -0.5 * share * low, 0.0)
     # share is rounded by 2 U relative; |z| is at most max(-low, high).
-    slack = middle * UP + np.where(mixed, 4 * U * (high - low), 0.0)
+    slack = middle * UP + where(mixed, 4 * U * (high - low), 0.0)
     return z.times(share).plus(middle).widen(slack)
 
 
-def sine_cosine(z: Models) -> tuple[Models, Models]:
+@lifted
+def sine_cosine(z: Model) -> tuple[Model, Model]:
     """Return sin(z) and cos(z): s' = z' c, c' = -z' s."""
-    p = list(z.c[:TERMS])
-    s0, c0 = sin_cos(np.clip(p[0], -SIN_COS_RANGE, SIN_COS_RANGE))
+    p = z.p
+    s0, c0 = sin_cos(maximum(minimum(p[0], SIN_COS_RANGE), -SIN_COS_RANGE))
     s, c = [s0], [c0]
     for k in range(1, TERMS):
-        s_next = _sum_products(p, c, k) / k
-        c.append(-_sum_products(p, s, k) / k)
+        s_next = _integral(p, c, k)
+        c.append(-_integral(p, s, k))
         s.append(s_next)
-    zz = list(_majorant(z.c[:TERMS]))
-    m = [np.ones_like(p[0])]
+    zz = _majorant(p)
+    one = p[0].trace.number(1.0)
+    m = [one]
     for k in range(1, TERMS + 1):
-        m.append(_sum_products(zz, m, k) / k)
-    size = np.where(np.abs(p[0]) < SIN_COS_RANGE, sum(m[:TERMS], np.zeros_like(m[0])), np.inf)
+        m.append(_integral(zz, m, k))
+    size = where(abs(p[0]) < SIN_COS_RANGE, summed(m[:TERMS]), float("inf"))
     sizes = (m[0] * UP, m[1] * UP)
     rest = m[2] * UP
     sine = _assemble(z, s, (c[0], c[1]), sizes, rest, 1.0, m[TERMS] * UP, size)
@@ -154,62 +160,56 @@ def sine_cosine(z: Models) -> tuple[Models, Models]:
     return sine, cosine
 
 
-def reciprocal(z: Models) -> Models:
+@lifted
+def reciprocal(z: Model) -> Model:
     """Return 1 / z; the caller makes sure that z keeps away from 0 (else radius is inf)."""
-    p = list(z.c[:TERMS])
-    zz = list(_majorant(z.c[:TERMS]))
+    p, zz = z.p, _majorant(z.p)
     low, high = bounds(z)
-    nearest = np.maximum(low, -high)  # the least |z| of all members, errors included
-    good = nearest > 0
-    nearest = np.where(good, nearest, 1.0)
+    nearest = maximum(low, -high)  # the least |z| of all members, errors included
+    good = nearest > 0.0
+    nearest = where(good, nearest, 1.0)
     # 1 / p(x) is wanted on the polynomial part alone, which reaches no nearer to 0.
-    q0 = 1 / np.where(good, p[0], 1.0)
-    q = [q0]
+    q0 = 1.0 / where(good, p[0], 1.0)
+    q, qq = [q0], [1.0 / nearest * UP]
     for k in range(1, TERMS):
-        total = p[1] * q[k - 1]
-        for i in range(2, k + 1):
-            total = total + p[i] * q[k - i]
-        q.append(-q0 * total)
-    qq = [1 / nearest * UP]
+        q.append(-q0 * summed([p[i] * q[k - i] for i in range(1, k + 1)]))
     for k in range(1, TERMS + 1):
-        total = zz[1] * qq[k - 1]
-        for i in range(2, min(k, DEGREE) + 1):
-            total = total + zz[i] * qq[k - i]
+        total = summed([zz[i] * qq[k - i] for i in range(1, min(k, DEGREE) + 1)])
         qq.append(qq[0] * total)
-    slope = (-q[0] * q[0], -2 * q[0] * q[1])
     result = _assemble(
         z,
         q,
-        slope,
-        (qq[0] * qq[0] * UP, 2 * qq[0] * qq[1] * UP),
-        (2 * qq[0] * qq[2] + qq[1] * qq[1]) * UP,
-        2 * qq[0] * qq[0] * qq[0] * UP,
+        (-q0 * q0, -2.0 * q0 * q[1]),
+        (qq[0] * qq[0] * UP, 2.0 * qq[0] * qq[1] * UP),
+        (2.0 * qq[0] * qq[2] + qq[1] * qq[1]) * UP,
+        2.0 * qq[0] * qq[0] * qq[0] * UP,
         qq[TERMS] * UP,
-        sum(qq[:TERMS], np.zeros_like(qq[0])),
+        summed(qq[:TERMS]),
     )
-    return Models(result.c, np.where(good, result.radius, np.inf))
+    return unless(good, result)
 
 
-def tan(z: Models) -> Models:
+@lifted
+def tan(z: Model) -> Model:
     """Enclose the tangent: t' = z' (1 + t^2); infinite radius unless |z| stays below 1."""
-    p = list(z.c[:TERMS])
     low, high = bounds(z)
-    most = np.maximum(-low, high)
+    most = maximum(-low, high)
     good = most < 1.0
-    p[0] = np.where(good, p[0], 0.0)
+    p = [where(good, z.c[0], 0.0), *z.c[1:TERMS]]
     sine, cosine = sin_cos(p[0])
-    t, y = [sine / cosine], [1 / (cosine * cosine)]
+    share = 1.0 / cosine
+    t, y = [sine * share], [share * share]
     for k in range(1, TERMS):
-        t.append(_sum_products(p, y, k) / k)
+        t.append(_integral(p, y, k))
         if k < DEGREE:
             y.append(_square(t, k))
-    zz = list(_majorant(z.c[:TERMS]))
-    sine, cosine = sin_cos(np.where(good, most, 0.0))
+    zz = _majorant(z.p)
+    sine, cosine = sin_cos(where(good, most, 0.0))
     # sin errs by 16 U, cos by as much and is above 0.54.
     tt = [sine / cosine * (1 + 2.0**-30) + 2.0**-45]
-    yy = [1 + tt[0] * tt[0] * UP]
+    yy = [1.0 + tt[0] * tt[0] * UP]
     for k in range(1, TERMS + 1):
-        tt.append(_sum_products(zz, yy, k) / k)
+        tt.append(_integral(zz, yy, k))
         yy.append(_square(tt, k))
     result = _assemble(
         z,
@@ -217,8 +217,8 @@ def tan(z: Models) -> Models:
         (y[0], y[1]),
         (yy[0] * UP, yy[1] * UP),
         yy[2] * UP,
-        2 * tt[0] * yy[0] * UP,
+        2.0 * tt[0] * yy[0] * UP,
         tt[TERMS] * UP,
-        sum(tt[:TERMS], np.ones_like(tt[0])),
+        1.0 + summed(tt[:TERMS]),
     )
-    return Models(result.c, np.where(good, result.radius, np.inf))
+    return unless(good, result)

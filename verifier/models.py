@@ -8,23 +8,29 @@ for the same x in [-1, 1] and e in [-1, 1]^m in all models of a row (D = DEGREE 
 a row is its start position, scaled; the e are what earlier steps could not keep exactly.
 
 Every operation returns models that contain the exact result for all members of its
-arguments: what is cut off, and every rounding of its own, goes into the radius.
+arguments (verifier.arithmetic says how).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import wraps
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from verifier.rounding import TINY, UP, U, gamma
+from verifier import arithmetic
+from verifier.arithmetic import DEGREE, TERMS, Model
+from verifier.compiled.kernel import kernel
+from verifier.compiled.trace import Trace, Value
+from verifier.rounding import TINY, UP, gamma
+
+__all__ = ["DEGREE", "TERMS", "Array", "Models"]
 
 Array = NDArray[np.float64]
-
-DEGREE = 5
-TERMS = DEGREE + 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,35 +48,119 @@ class Models:
     def __getitem__(self, index: object) -> Models:
         """Index the batch (never the coefficients)."""
         full = index if isinstance(index, tuple) else (index,)
-        return Models(self.c[(slice(None), *full)], self.radius[full])
+        last, c, radius = full[-1], self.c, self.radius
+        plain = all(isinstance(i, slice | int) for i in full[:-1]) and radius.ndim == len(full)
+        if plain and isinstance(last, np.ndarray) and last.ndim == 1:
+            # Rows: NumPy would put their axis first in memory; kernels want it last.
+            c, radius = c[(slice(None), *full[:-1])], radius[full[:-1]]
+            if last.dtype == bool:
+                last = np.flatnonzero(last)
+            if len(last) == radius.shape[-1] and (last == np.arange(len(last))).all():
+                return Models(c, radius)
+            return Models(np.take(c, last, axis=-1), np.take(radius, last, axis=-1))
+        return Models(c[(slice(None), *full)], radius[full])
 
     def __neg__(self) -> Models:
         return Models(-self.c, self.radius)
 
     def __add__(self, other: Models) -> Models:
-        c = self.c + other.c
-        return Models(c, (self.radius + other.radius + U * norm(c)) * UP)
+        return apply(Model.__add__, self, other)
 
     def __sub__(self, other: Models) -> Models:
-        return self + (-other)
+        return apply(Model.__sub__, self, other)
 
     def plus(self, constant: Array | float) -> Models:
         """Add real numbers that are given exactly."""
-        c = self.c.copy()
-        c[0] += constant
-        return Models(c, (self.radius + U * np.abs(c[0])) * UP)
+        return apply(Model.plus, self, constant)
 
     def times(self, factor: Array | float) -> Models:
         """Multiply by real numbers that are given exactly."""
-        c = self.c * factor
-        return Models(c, (self.radius * np.abs(factor) + U * norm(c)) * UP + TINY)
+        return apply(Model.times, self, factor)
 
     def widen(self, amount: Array | float) -> Models:
         """Add an unknown of at most ``amount`` (>= 0)."""
-        return Models(self.c, (self.radius + amount) * UP)
+        return apply(Model.widen, self, amount)
 
     def __mul__(self, other: Models) -> Models:
-        return multiply(self, other)
+        return apply(arithmetic.multiply, self, other)
+
+
+def apply(function: Callable, *arguments: Models | Array | float) -> Any:
+    """Return a function of traced models and numbers, for batches of them.
+
+    Batches are broadcast; the results are Models or arrays, in a tuple if there are several.
+    """
+    shape = _shape(arguments[0])
+    if not all(isinstance(a, float | int) or _shape(a) == shape for a in arguments):
+        shape = np.broadcast_shapes(*[_shape(a) for a in arguments])
+        arguments = tuple(_broadcast(a, shape) for a in arguments)
+    places = math.prod(shape)
+    sizes, tables = [], []
+    for argument in arguments:
+        if isinstance(argument, Models):
+            sizes.append(argument.symbols)
+            tables.append(argument.c.reshape(len(argument.c), places))
+            tables.append(argument.radius.reshape(1, places))
+        else:
+            sizes.append(-1)
+            number = isinstance(argument, float | int)
+            values = np.full(places, argument) if number else np.asarray(argument)
+            tables.append(values.astype(float, copy=False).reshape(1, places))
+    program = _pointwise(function, *sizes)
+    out = program(places, tables)
+    results, at = [], 0
+    for symbols in program.shapes:
+        if symbols < 0:
+            results.append(out[at].reshape(shape))
+            at += 1
+        else:
+            width = TERMS + 2 * symbols
+            c = out[at : at + width].reshape(width, *shape)
+            results.append(Models(c, out[at + width].reshape(shape)))
+            at += width + 1
+    return results[0] if len(results) == 1 else tuple(results)
+
+
+def _shape(argument: Models | Array | float) -> tuple[int, ...]:
+    return argument.radius.shape if isinstance(argument, Models) else np.shape(argument)
+
+
+def _broadcast(argument: Models | Array | float, shape: tuple[int, ...]) -> Models | Array:
+    if not isinstance(argument, Models):
+        return np.broadcast_to(np.asarray(argument, dtype=float), shape)
+    width, own = len(argument.c), argument.radius.shape
+    c = argument.c.reshape(width, *[1] * (len(shape) - len(own)), *own)
+    return Models(np.broadcast_to(c, (width, *shape)), np.broadcast_to(argument.radius, shape))
+
+
+@kernel
+def _pointwise(
+    trace: Trace, function: Callable, *sizes: int
+) -> tuple[list[Value], tuple[int, ...]]:
+    """A kernel of ``function``; sizes: symbols of an argument, -1 for a number."""
+    arguments = [trace.column() if n < 0 else arithmetic.read(trace, n) for n in sizes]
+    results = function(*arguments)
+    values, shapes = [], []
+    for result in results if isinstance(results, tuple) else (results,):
+        if isinstance(result, Model):
+            values += result.values
+            shapes.append((len(result.c) - TERMS) // 2)
+        else:
+            values.append(result)
+            shapes.append(-1)
+    return values, tuple(shapes)
+
+
+def lifted(function: Callable) -> Callable[..., Any]:
+    """Let a function of traced models and numbers also take batches of them."""
+
+    @wraps(function)
+    def call(*arguments: Any) -> Any:
+        if any(isinstance(a, Model | Value) for a in arguments):
+            return function(*arguments)
+        return apply(function, *arguments)
+
+    return call
 
 
 def norm(c: Array) -> Array:
@@ -85,56 +175,12 @@ def constant(value: Array, symbols: int) -> Models:
     return Models(c, np.zeros(np.shape(value)))
 
 
-def spread(models: Models) -> Array:
-    """Return an upper bound of all but the constant coefficient: how far values stray from it."""
-    return (norm(models.c[1:]) + models.radius) * UP
-
-
-def error_spread(models: Models) -> Array:
-    """Return an upper bound of the error symbols' part and the radius."""
-    return (norm(models.c[TERMS:]) + models.radius) * UP
-
-
-def bounds(models: Models) -> tuple[Array, Array]:
-    """Return lower and upper bounds of all members, ``[..., rows]``.
-
-    Even powers lie in [0, 1], which makes this tighter than the sum of absolute values.
-    """
-    c = models.c
-    odd, even = np.abs(c[1:TERMS:2]).sum(axis=0), c[2:TERMS:2]
-    rest = (odd + error_spread(models) + TERMS * U * (np.abs(c[0]) + norm(even) + odd)) * UP
-    low = c[0] + np.minimum(even, 0).sum(axis=0) - rest
-    high = c[0] + np.maximum(even, 0).sum(axis=0) + rest
-    # The last two sums round once more each.
-    slack = 4 * U * (np.abs(low) + np.abs(high))
-    return low - slack, high + slack
-
-
-def multiply(a: Models, b: Models) -> Models:
-    """Return the product."""
-    pa, pb, ea, eb = a.c[:TERMS], b.c[:TERMS], a.c[TERMS:], b.c[TERMS:]
-    shape = np.broadcast_shapes(pa.shape[1:], pb.shape[1:])
-    c = np.zeros((max(len(a.c), len(b.c)), *shape))
-    for i in range(TERMS):
-        c[i:TERMS] += pa[i] * pb[: TERMS - i]
-    abs_a, abs_b = np.abs(pa), np.abs(pb)
-    cut = np.zeros(shape)
-    for i in range(1, TERMS):
-        cut += abs_a[i] * abs_b[TERMS - i :].sum(axis=0)
-    size_ea, size_eb = np.abs(ea).sum(axis=0), np.abs(eb).sum(axis=0)
-    if len(eb):
-        c[TERMS:] += pa[0] * eb
-        c[TERMS + 1 :: 2] += pa[1] * eb[::2]
-        cut += abs_a[1] * np.abs(eb[1::2]).sum(axis=0) + abs_a[2:].sum(axis=0) * size_eb
-    if len(ea):
-        c[TERMS:] += pb[0] * ea
-        c[TERMS + 1 :: 2] += pb[1] * ea[::2]
-        cut += abs_b[1] * np.abs(ea[1::2]).sum(axis=0) + abs_b[2:].sum(axis=0) * size_ea
-    size_a, size_b = abs_a.sum(axis=0) + size_ea, abs_b.sum(axis=0) + size_eb
-    radius = cut + size_ea * size_eb + a.radius * (size_b + b.radius) + b.radius * size_a
-    # A coefficient is a sum of at most TERMS + 4 products.
-    radius = radius + gamma(TERMS + 5) * size_a * size_b
-    return Models(c, radius * UP + TINY)
+#: The functions of verifier.arithmetic, for batches.
+spread = lifted(arithmetic.spread)
+error_spread = lifted(arithmetic.error_spread)
+bounds = lifted(arithmetic.bounds)
+multiply = lifted(arithmetic.multiply)
+substitute = lifted(arithmetic.substitute)
 
 
 def linear(weights: Array, absolute: Array, models: Models) -> Models:
@@ -154,3 +200,12 @@ def linear(weights: Array, absolute: Array, models: Models) -> Models:
 def stack(models: Sequence[Models]) -> Models:
     """Stack models along a new first batch axis."""
     return Models(np.stack([m.c for m in models], axis=1), np.stack([m.radius for m in models]))
+
+
+def padded(models: Models, symbols: int) -> Models:
+    """Return the models with at least so many error symbols, the new ones 0."""
+    if models.symbols >= symbols:
+        return models
+    c = np.zeros((TERMS + 2 * symbols, *models.c.shape[1:]))
+    c[: len(models.c)] = models.c
+    return Models(c, models.radius)

@@ -9,7 +9,7 @@ import numpy as np
 
 from racecar.closed_loop import Plant
 from racecar.controller import Controller
-from racecar.instance import Instance, load_instance, load_instance_controller
+from racecar.instance import Disturbance, Instance, load_instance, load_instance_controller
 from racecar.safety import Property
 from verifier.models import TERMS, Array, Models
 from verifier.rounding import UP, U
@@ -26,11 +26,15 @@ class Problem:
     steps: int
     lower: Array  # [4]: s, f, v, theta
     upper: Array
+    disturbance: Disturbance | None = None
 
     @property
-    def active(self) -> list[int]:
-        """The state components that can be uncertain; the speed only if it is at the start."""
-        return [S, F, V, THETA] if self.upper[V] > self.lower[V] else [S, F, THETA]
+    def wide(self) -> bool:
+        """Whether more than one number is uncertain."""
+        noisy = self.disturbance is not None and (
+            self.disturbance.noise > 0 or self.disturbance.choice == "step"
+        )
+        return noisy or int((self.upper > self.lower).sum()) > 1
 
 
 def load_problem(path: Path) -> tuple[Instance, Problem]:
@@ -39,9 +43,19 @@ def load_problem(path: Path) -> tuple[Instance, Problem]:
     controller = load_instance_controller(instance, path)
     lower, upper = instance.initial_set.bounds()
     problem = Problem(
-        instance.make_plant(), controller, instance.make_property(), instance.steps, lower, upper
+        instance.make_plant(),
+        controller,
+        instance.make_property(),
+        instance.steps,
+        lower,
+        upper,
+        instance.disturbance,
     )
     return instance, problem
+
+
+#: The components whose errors are gathered between steps; the speed's do not grow.
+ACTIVE = (S, F, THETA)
 
 
 @dataclass(frozen=True)
@@ -52,27 +66,27 @@ class Box:
     upper: Array  # [4]
     lead: int
 
-    def halves(self, component: int) -> tuple[Box, Box]:
-        """Return the two halves along a component."""
-        middle = (self.lower[component] + self.upper[component]) / 2
-        first, second = self.upper.copy(), self.lower.copy()
-        first[component] = second[component] = middle
-        return Box(self.lower, first, self.lead), Box(second, self.upper, self.lead)
+    @property
+    def others(self) -> list[int]:
+        """The other uncertain components: each is an error symbol, kept to the end."""
+        return [i for i in (S, F, V, THETA) if i != self.lead and self.upper[i] > self.lower[i]]
 
 
-def start_rows(box: Box, active: list[int], low: Array, high: Array) -> Rows:
-    """Return rows for the pieces [low, high] (``[rows]``, within [-1, 1]) of a box."""
+def start_rows(box: Box, low: Array, high: Array, case: int = 0, carried: int = 0) -> Rows:
+    """Return rows for the pieces [low, high] (``[rows]``, within [-1, 1]) of a box.
+
+    carried: error symbols for the other components of the box, at least as many as they are.
+    """
     count = len(low)
     middle = (box.lower + box.upper) / 2
     # Rounded up, so that middle +- half covers the box.
     half = (box.upper - box.lower) / 2 * UP + 2 * U * np.abs(middle)
     half = np.where(box.upper > box.lower, half, 0.0)
-    c = np.zeros((TERMS + 2 * len(active), 4, count))
+    c = np.zeros((TERMS + 2 * (max(carried, len(box.others)) + len(ACTIVE)), 4, count))
     c[0] = middle[:, None]
     c[1, box.lead] = half[box.lead]
-    for i, component in enumerate(active):
-        if component != box.lead:
-            c[TERMS + 2 * i, component] = half[component]
+    for i, component in enumerate(box.others):
+        c[TERMS + 2 * i, component] = half[component]
     rows = Rows(
         state=Models(c, np.zeros((4, count))),
         frame=np.zeros(count, dtype=np.intp),
@@ -82,5 +96,10 @@ def start_rows(box: Box, active: list[int], low: Array, high: Array) -> Rows:
         decisions=((),) * count,
         kink=np.zeros(count),
         tried=np.full(count, np.inf),
+        borne=np.zeros(count),
+        case=np.full(count, case),
+        splits=np.zeros(count, dtype=np.intp),
+        gathered=np.zeros(count, dtype=bool),
+        node=np.full(count, -1),
     )
     return rows.restrict(np.asarray(low), np.asarray(high))

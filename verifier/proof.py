@@ -1,4 +1,4 @@
-"""Proving one box of start states safe: rows go through the control steps together.
+"""Proving start states safe: rows go through the control steps together.
 
 A row whose walls are not clear is cut where they change; a row whose models get too coarse,
 or whose margin cannot be shown, is split in halves and does the step again.
@@ -6,37 +6,71 @@ or whose margin cannot be shown, is split in halves and does the step again.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from racecar.track import Advance
+from racecar.instance import Disturbance
+from verifier import disturbed
 from verifier.clearance import least_margin
-from verifier.cuts import parts
+from verifier.divide import Divider, sharpest
 from verifier.elementary import SIN_COS_RANGE
-from verifier.models import Array, Models, bounds, error_spread, norm
-from verifier.motion import Motion, extent, new_error, total_error
+from verifier.gather import DIRECTIONS, gather
+from verifier.lohner import consolidate
+from verifier.models import Array, Models, norm
+from verifier.motion import Motion, Path, extent, new_error, total_error
 from verifier.network import Network
-from verifier.problem import Box, Problem, start_rows
+from verifier.problem import ACTIVE, Box, Problem, start_rows
+from verifier.queue import Queue
+from verifier.record import Record
 from verifier.rounding import U
-from verifier.rows import THETA, F, Rows, S, consolidate, join
-from verifier.scan import Guards, Scanner
+from verifier.rows import THETA, Rows, join
+from verifier.scan import Guards, Scan, Scanner
 
 #: Rows treated at once: bounds the memory.
 BATCH = 48
-#: A row narrower than this (of the box's 2) is given up rather than split.
-NARROWEST = 1e-9
+#: Wide rows are put together every so many steps, where they have grown together.
+GATHER = 4
 #: A gap between rows (of the box's 2) that may be due to rounding alone.
 GAP = 1e-10
-#: A row whose errors (m, rad) exceed this is given up.
-COARSEST = 2e-3
-#: The share of the errors that a row comes with by which they may grow in a step.
-GROWTH = 0.1
-#: If splitting did not bring the error of a step below this share, it stems from the errors
-#: that the row came with, and is accepted.
-FUTILE = 0.5
+#: An error that splitting did not help against may grow by this from step to step.
+BORNE = 1.3
+#: What a step adds to the errors is taken this much larger, and larger by TAIL, so that a checker
+#: whose own bounds are a little wider finds room.
+SLACK, TAIL = 1.25, 1e-18
+
+
+@dataclass(frozen=True)
+class Policy:
+    """When a row is accepted.
+
+    coarsest: a row whose errors (m, rad) exceed this is given up; growth: the share of the
+    errors that a row comes with by which they may grow in a step; futile: if splitting did not
+    bring the error of a step below this share, it is accepted; bearable: the same where
+    splitting does not help; kink: the share of them (per metre) up to which kinks are kept in the
+    radius; gain: how much larger than a kink (1/m) the error of a step that keeps it may be.
+    """
+
+    coarsest: float
+    futile: float
+    growth: float
+    bearable: float
+    kink: float
+    gain: float
+    kinked: float
+
+
+#: One uncertain number: errors are small beside what x does.
+NARROW = Policy(
+    coarsest=2e-3, futile=0.5, growth=0.1, bearable=np.inf, kink=0.0, gain=100.0, kinked=np.inf
+)
+#: Several: errors are what there is.
+WIDE = Policy(
+    coarsest=0.1, futile=0.85, growth=0.005, bearable=1.0, kink=0.1, gain=100.0, kinked=1.5
+)
 
 
 @dataclass(frozen=True)
@@ -53,24 +87,40 @@ class Proof:
     leaves: int
 
 
-#: How much larger than a kink (1/m) the error of a step that keeps it may be (m, rad).
-KINK_GAIN = 100.0
-
-
 class OutOfTime(Exception):
     """The time limit was reached."""
 
 
 class Prover:
-    """Proves boxes of one problem; ``check`` is called often and may raise OutOfTime."""
+    """Proves boxes of one problem; ``check`` is called often and may raise OutOfTime.
+
+    decided(share) is called often, with a function that returns the share of the pieces at hand
+    that is proved. to_corner: runs end as soon as they are in the next hall's frame, and are to
+    get there within the problem's steps. Raises disturbed.TooManyChoices.
+    """
 
     def __init__(
-        self, problem: Problem, wanted: float, check: Callable[[], None] = lambda: None
+        self,
+        problem: Problem,
+        wanted: float,
+        check: Callable[[], None] = lambda: None,
+        record: Record | None = None,
+        decided: Callable[[Callable[[], float]], None] = lambda share: None,
+        to_corner: bool = False,
     ) -> None:
         self._problem = problem
-        self._active = problem.active
+        self._to_corner = to_corner
+        #: Rows that came into the next hall's frame, if the runs are to end there.
+        self.arrived: list[Rows] = []
+        self._disturbance = problem.disturbance or Disturbance.model_construct(
+            noise=0.0, missing=0, turn_only=True, choice="run"
+        )
+        self._missing = disturbed.cases(problem.disturbance, problem.plant.lidar.rays)
+        self._policy = WIDE if problem.wide else NARROW
         self._wanted = wanted
         self._check = check
+        self._record = record
+        self._decided = decided
         self._network = Network(problem.controller)
         self._motion = Motion(problem.plant.bicycle, problem.plant.period)
         alike = problem.plant.track.alike
@@ -81,28 +131,72 @@ class Prover:
         self._scanners = [by_shape[int(i)] for i in alike]
         # Frames are treated together if they agree in walls, advance and unsafe set.
         self._alike = alike * len(frames) + problem.safety.alike
-        self._restrictions = 0
-        #: How often a row was cut in two at a change of walls.
-        self.cuts = 0
+        self._divider = Divider(record, problem.wide)
+        self._carried = 0
+        #: Seconds spent in enclosures of the network.
+        self.network_time_s = 0.0
 
-    def prove(self, box: Box, low: Array, high: Array, tolerance: float) -> Proof:
+    @property
+    def cuts(self) -> int:
+        """How often a row was cut in two at a change of walls."""
+        return self._divider.cuts
+
+    def prove(
+        self, box: Box, low: Array, high: Array, tolerance: float, case: int = 0, frame: int = 0
+    ) -> Proof:
         """Prove pieces [low, high] of a box; tolerance: for the error of one step."""
-        rows = start_rows(box, self._active, low, high)
-        failed: list[Rows] = []
-        for _ in range(self._problem.steps):
-            if len(rows):
-                rows = self._step(rows, tolerance, failed)
-        bad = join(failed) if failed else rows.take(np.zeros(len(rows), dtype=bool))
-        least = float(rows.least.min(initial=np.inf))
+        divider, steps = self._divider, self._problem.steps
+        divider.failed, divider.step, self.arrived = [], 0, []
+        # Wide rows have as many as gathered ones.
+        self._carried = DIRECTIONS if self._problem.wide else 0
+        rows = start_rows(box, low, high, case, self._carried)
+        rows = replace(rows, frame=np.full(len(low), frame))
+        if self._record is not None:
+            rows = replace(rows, node=self._record.roots(rows, low, high))
+        queue = Queue(rows, steps, BATCH, GATHER if self._problem.wide else 0)
+        while queue:
+            if (met := queue.together()) is not None:
+                queue.put(met[0], self._gather(*met))
+            step, rows = queue.take()
+            divider.step = step
+            self._decided(lambda: queue.finished(divider.failed))
+            queue.done(step, self._step(rows, tolerance))
+        if self._to_corner:
+            for rows in queue.ended:
+                divider.give_up(rows)
+            queue.ended = []
+        leaves = queue.ended + self.arrived
+        bad = join(divider.failed) if divider.failed else rows.take(np.zeros(len(rows), bool))
         # low and high of a row are rounded anew at each of the restrictions that made it.
-        pad = 8 * U * self._restrictions
-        covered = [np.concatenate([rows.low, bad.low]), np.concatenate([rows.high, bad.high])]
-        lost = uncovered(low, high, *covered)
+        pad = 8 * U * divider.restrictions
+        ends = [r for r in (*leaves, bad) if len(r)]
+        lost = uncovered(
+            low, high, np.concatenate([r.low for r in ends]), np.concatenate([r.high for r in ends])
+        )
         open_low = np.concatenate([bad.low, lost[0]]) - pad
         open_high = np.concatenate([bad.high, lost[1]]) + pad
-        return Proof(np.maximum(open_low, -1), np.minimum(open_high, 1), least, len(rows))
+        return Proof(
+            np.maximum(open_low, -1),
+            np.minimum(open_high, 1),
+            min((float(r.least.min()) for r in leaves), default=np.inf),
+            sum(map(len, leaves)),
+        )
 
-    def _step(self, rows: Rows, tolerance: float, failed: list[Rows]) -> Rows:
+    def _gather(self, step: int, rows: Rows) -> Rows:
+        """Put rows together that have grown together."""
+
+        def note(some: Rows, whole: Rows) -> Rows:
+            if self._record is None:
+                return whole
+            return replace(whole, node=self._record.gathered(some, step, whole))
+
+        done: list[Rows] = []
+        for frame, case in sorted(set(zip(rows.frame.tolist(), rows.case.tolist(), strict=True))):
+            mine = rows.take((rows.frame == frame) & (rows.case == case))
+            done += gather(mine, DIRECTIONS + len(ACTIVE), note)
+        return join(done)
+
+    def _step(self, rows: Rows, tolerance: float) -> Rows:
         """Take all rows through one control step."""
         todo, done = [rows], []
         while todo:
@@ -111,176 +205,150 @@ class Prover:
             if len(batch) > BATCH:
                 todo.append(batch.take(np.arange(BATCH, len(batch))))
                 batch = batch.take(np.arange(BATCH))
-            # Beyond this, sin and cos are not known.
-            wild = ~(norm(batch.state.c[:, THETA]) + batch.state.radius[THETA] < SIN_COS_RANGE)
-            if wild.any():
-                failed.append(batch.take(wild))
-                batch = batch.take(~wild)
-                if not len(batch):
-                    continue
+            batch = self._usable(batch)
+            if not len(batch):
+                continue
             shapes = self._alike[batch.frame]
             if shapes.min() != shapes.max():
                 todo += [batch.take(shapes == shape) for shape in np.unique(shapes)]
                 continue
-            again, finished = self._attempt(batch, tolerance, failed)
-            todo += [r for r in again if len(r)]
+            again, finished = self._attempt(batch, tolerance)
+            # Joined, so that the next batches are full.
+            again = [r for r in again if len(r)]
+            if again:
+                todo.append(join(again))
             if len(finished):
                 done.append(finished)
         return join(done) if done else rows.take(np.zeros(len(rows), dtype=bool))
 
-    def _attempt(self, rows: Rows, tolerance: float, failed: list[Rows]) -> tuple[list[Rows], Rows]:
+    def _usable(self, rows: Rows) -> Rows:
+        """Give up rows that are too coarse; sin and cos are not known of a wild heading."""
+        turned = norm(rows.state.c[:, THETA]) + rows.state.radius[THETA]
+        fit = (turned < SIN_COS_RANGE) & (total_error(rows.state) <= self._policy.coarsest)
+        if fit.all():
+            return rows
+        self._divider.give_up(rows.take(~fit))
+        return rows.take(fit)
+
+    def _attempt(self, rows: Rows, tolerance: float) -> tuple[list[Rows], Rows]:
         """Return rows that do the step again, and rows that have done it."""
-        frame = int(rows.frame[0])
+        frame, divider, policy = int(rows.frame[0]), self._divider, self._policy
+        problem = self._problem
         came = total_error(rows.state)
-        lost = ~(came <= COARSEST)
-        if lost.any():
-            failed.append(rows.take(lost))
-            rows, came = rows.take(~lost), came[~lost]
-        if not len(rows):
-            return [], rows
-        scan = self._scanners[frame].measure(rows, 0.1 * tolerance)
-        blocked = scan.unclear.copy()
-        blocked[scan.guards.row] = True
-        again = self._cut(rows, scan.guards, scan.unclear, failed)
+        kink = max(0.1 * tolerance, policy.kink * float(came.max()))
+        scan = self._scanners[frame].measure(rows, kink)
+        region = self._region(rows)
+        guards, unclear = _together(scan, region)
+        blocked = unclear.copy()
+        blocked[guards.row] = True
+        again = divider.cut(rows, guards, unclear)
         clear = np.flatnonzero(~blocked)
         if not clear.size:
             return again, rows.take(clear)
         rows, came = rows.take(clear), came[clear]
         with np.errstate(invalid="ignore", over="ignore"):  # rows too wide; sorted out below
-            steering = self._network.steering(scan.distance[:, clear])
-            path = self._motion.drive(rows.state, steering)
+            distance = scan.distance[:, clear]
+            began = time.perf_counter()
+            steering = self._steering(rows, distance, region.inside[clear])
+            self.network_time_s += time.perf_counter() - began
+            path = self._drive(rows, steering)
         error = new_error(path.state)
         error = np.where(np.isfinite(error), error, np.inf)
         # Splitting does not help where the errors are wider than the piece.
-        dominated = came > 0.5 * extent(rows.state)
-        fine = error <= tolerance + KINK_GAIN * rows.kink + GROWTH * came
-        fine |= np.isfinite(error) & (dominated | (error > FUTILE * rows.tried))
+        dominated = (came > 0.5 * extent(rows.state)) & (not self._problem.wide)
+        kinks = np.minimum(policy.gain * rows.kink, policy.kinked * came)
+        # What noise does in this step: symbols that the state did not come with.
+        pushed = norm(path.state.c[len(rows.state.c) :]).max(axis=0)
+        fine = error <= tolerance + kinks + policy.growth * came
+        # Errors that are there anyway are borne, unless they are worse than all before.
+        most = policy.bearable * (came + pushed)
+        bearable = np.isfinite(error) & ((error <= most) | (not problem.wide))
+        futile = bearable & ((error > policy.futile * rows.tried) | (error <= BORNE * rows.borne))
+        fine |= futile | (np.isfinite(error) & dominated)
         least = np.full(len(rows), -np.inf)
         clear = np.flatnonzero(fine)
-        least[clear] = least_margin(
-            path.take(clear), self._problem.safety.unsafe[frame], self._wanted
-        )
+        unsafe = self._problem.safety.unsafe[frame]
+        least[clear] = least_margin(path.take(clear), unsafe, self._wanted)
         good = fine & (least > 0)
         lost = dominated & ~good
-        if lost.any():
-            failed.append(rows.take(lost))
+        divider.give_up(rows.take(lost))
         retry = np.flatnonzero(~good & ~lost)
-        again += self._halve(replace(rows.take(retry), tried=error[retry]), failed)
-        good &= ~lost
-        rows, least = rows.take(good), least[good]
+        along = sharpest(distance[:, retry])
+        again += divider.halve(replace(rows.take(retry), tried=error[retry]), along)
+        rows = replace(rows, borne=np.where(futile, error, 0.0))
+        return again, self._after(rows.take(good), path.state[:, np.flatnonzero(good)], least[good])
+
+    def _region(self, rows: Rows) -> disturbed.Region:
+        """Return where rays are missing."""
+        given = self._disturbance
+        missing = np.asarray(self._missing.any(axis=1))[rows.case]
+        return disturbed.region(rows, missing, given.turn_only, self._problem.plant.track.width)
+
+    def _steering(self, rows: Rows, distance: Models, inside: NDArray[np.bool_]) -> Models:
+        given, reach = self._disturbance, self._problem.plant.lidar.range
+        if given.missing and given.choice == "step":
+            return disturbed.steering_of_choices(
+                self._network, distance, inside, given.missing, given.noise, reach
+            )
+        if given.missing:
+            gone = self._missing[rows.case].T & inside[None, :]
+            distance = disturbed.without(distance, gone, reach)
+        if self._problem.wide:
+            return disturbed.steering_apart(self._network, distance, given.noise)
+        return self._network.steering(distance)
+
+    def _drive(self, rows: Rows, steering: Models) -> Path:
+        """Return the path; the steering may have symbols that the state lacks."""
+        state, more = rows.state, len(steering.c) - len(rows.state.c)
+        if more:
+            state = Models(
+                np.concatenate([state.c, np.zeros((more, *state.c.shape[1:]))]), state.radius
+            )
+        return self._motion.drive(state, steering)
+
+    def _after(self, rows: Rows, state: Models, least: Array) -> Rows:
+        """Return the rows that have done the step, in the frames that they are in now."""
+        divider, count = self._divider, len(rows)
+        if not count:
+            return rows
+        state = Models(state.c, (state.radius * SLACK + TAIL) * 1.0)
         rows = replace(
             rows,
-            state=consolidate(path.state[:, np.flatnonzero(good)], self._active),
+            state=consolidate(state, list(ACTIVE), self._carried),
             least=np.minimum(rows.least, least),
-            decisions=((),) * len(rows),
-            kink=np.zeros(len(rows)),
-            tried=np.full(len(rows), np.inf),
+            decisions=((),) * count,
+            kink=np.zeros(count),
+            tried=np.full(count, np.inf),
         )
-        return again, self._advance(rows)
-
-    def _cut(
-        self, rows: Rows, guards: Guards, unclear: NDArray[np.bool_], failed: list[Rows]
-    ) -> list[Rows]:
-        """Cut each row at the one of its failing guards that divides it best."""
-        self._restrictions += 1
-        children = [*self._halve(rows.take(unclear), failed)]
-        fit = ~unclear[guards.row]
-        if not fit.any():
-            return children
-        index = np.flatnonzero(fit)
-        both = parts(guards.models[index])
-        row = guards.row[index]
-        size_p = np.maximum(both.positive[1] - both.positive[0], 0)
-        size_n = np.maximum(both.negative[1] - both.negative[0], 0)
-        larger = np.maximum(size_p, size_n)
-        order = np.lexsort((larger, row))
-        first = order[np.unique(row[order], return_index=True)[1]]
-        chosen = rows.take(row[first])
-        decisions = [guards.decisions[index[n]] for n in first]
-        overlap = (size_p + size_n - 2)[first]
-        whole = larger[first] > 1.998
-        narrow = chosen.high - chosen.low < NARROWEST
-        undecided = np.array([d is None for d in decisions])
-        fails = guards.fails[index[first]]
-        # A kink that fails by no more than the guard's own error cannot be cut any better: it
-        # goes into the radius.
-        inherent = fails <= 4.1 * error_spread(guards.models[index[first]])
-        give_in = undecided & (inherent | narrow) & (chosen.kink < fails)
-        held = chosen.take(give_in)
-        if len(held):
-            children.append(replace(held, kink=fails[give_in] * 1.01))
-        split = ~give_in & (whole & (overlap < 1) | undecided & (overlap >= 1))
-        children += self._halve(chosen.take(split), failed)
-        go = np.flatnonzero(~give_in & ~split)
-        self.cuts += len(go)
-        for part, positive in ((both.positive, True), (both.negative, False)):
-            low, high = part[0, first[go]], part[1, first[go]]
-            some = low <= high
-            kept = chosen.take(go[some])
-            if not len(kept):
-                continue
-            assumed = []
-            for n, known in zip(go[some], kept.decisions, strict=True):
-                d = decisions[n]
-                if d is not None:
-                    known = (*known, d if positive else replace(d, positive=not d.positive))  # noqa: PLW2901
-                assumed.append(known)
-            kept = replace(kept, decisions=tuple(assumed))
-            children.append(kept.restrict(low[some], high[some]))
-        return children
-
-    def _halve(self, rows: Rows, failed: list[Rows]) -> list[Rows]:
-        narrow = rows.high - rows.low < NARROWEST
-        if narrow.any():
-            failed.append(rows.take(narrow))
-        rows = rows.take(~narrow)
-        if not len(rows):
-            return []
-        self._restrictions += 1
-        end, middle = np.ones(len(rows)), np.zeros(len(rows))
-        return [rows.restrict(-end, middle), rows.restrict(middle, end)]
-
-    def _advance(self, rows: Rows) -> Rows:
-        """Move cars that are far enough into the next hall to its frame.
-
-        Where that is so for a part of a row only, the row is cut: the unsafe sets of two frames
-        need not be the same, and the numbers that describe the walls there are rounded.
-        """
-        done = []
+        divider.step += 1
+        if self._record is not None:
+            rows = replace(rows, node=self._record.images(rows, divider.step))
+        done: list[Rows] = []
         for index in np.unique(rows.frame):
             mine = rows.take(rows.frame == index)
             change = self._problem.plant.track.frames[index].advance
-            if change is None:
-                done.append(mine)
-                continue
-            value = mine.state[S].times(change.guard[0]) + mine.state[F].times(change.guard[1])
-            value = value.plus(-change.guard[2])
-            low, high = bounds(value)
-            moves, stays = low > 0, high <= 0
-            done += [_move(mine.take(moves), change), mine.take(stays)]
-            open_rows = np.flatnonzero(~(moves | stays))
-            if not open_rows.size:
-                continue
-            self._restrictions += 1
-            both = parts(value[open_rows])
-            for part, beyond in ((both.positive, True), (both.negative, False)):
-                some = part[0] <= part[1]
-                kept = mine.take(open_rows[some]).restrict(part[0, some], part[1, some])
-                done.append(_move(kept, change) if beyond else kept)
-        return join([r for r in done if len(r)]) if done else rows
+            for part in [mine] if change is None else divider.advance(mine, change):
+                moved = self._to_corner and part.frame[0] != index
+                (self.arrived if moved else done).append(part)
+        divider.step -= 1
+        return join(done) if done else rows.take(np.zeros(count, dtype=bool))
 
 
-def _move(rows: Rows, change: Advance) -> Rows:
-    """Describe rows in the frame of the next hall."""
-    (a, b), (d, e) = change.matrix
-    s, f, c, radius = rows.state[S], rows.state[F], rows.state.c.copy(), rows.state.radius.copy()
-    moved_s = (s.times(a) + f.times(b)).plus(change.offset[0])
-    moved_f = (s.times(d) + f.times(e)).plus(change.offset[1])
-    # The rotation is a quarter turn; its double is off by less than U.
-    turned = rows.state[THETA].plus(change.rotation).widen(U)
-    for component, models in ((S, moved_s), (F, moved_f), (THETA, turned)):
-        c[:, component], radius[component] = models.c, models.radius
-    return replace(rows, frame=np.full(len(rows), change.to), state=Models(c, radius))
+def _together(scan: Scan, region: disturbed.Region) -> tuple[Guards, NDArray[np.bool_]]:
+    """Return the guards of scan and region, and the rows that have to be split."""
+    unclear = scan.unclear | region.unclear
+    if region.guards is None:
+        return scan.guards, unclear
+    parts = [scan.guards, region.guards]
+    return Guards(
+        Models(
+            np.concatenate([p.models.c for p in parts], axis=-1),
+            np.concatenate([p.models.radius for p in parts]),
+        ),
+        np.concatenate([p.fails for p in parts]),
+        np.concatenate([p.row for p in parts]),
+        tuple(d for p in parts for d in p.decisions),
+    ), unclear
 
 
 def uncovered(low: Array, high: Array, lows: Array, highs: Array) -> tuple[Array, Array]:

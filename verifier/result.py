@@ -18,7 +18,9 @@ class Result:
     None unless all of the start set is proved; margin_upper: the least margin seen in
     simulation (m); decided: share of the start set that is proved safe, 1 for sat; leaves:
     pieces of the start set at the end; paths: 1 more than the times a piece was cut at a
-    change of walls; witness: start state (s, f, v, theta) if sat.
+    change of walls; witness: start state (s, f, v, theta) if sat; network_time_s: seconds that the
+    proof spent in enclosures of the network, summed over its workers; None: not measured (proofs
+    for ever).
     """
 
     verdict: str
@@ -30,6 +32,7 @@ class Result:
     time_s: float
     witness: dict[str, float] | None
     note: str = ""
+    network_time_s: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the result as plain data."""

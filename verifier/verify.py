@@ -4,158 +4,155 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import numpy as np
 
-from racecar.closed_loop import Steer
-from verifier.falsify import confirmed, worst_start
+from racecar.closed_loop import State, Steer, simulate
+from verifier.disturbed import TooManyChoices, cases
+from verifier.falsify import Worst, confirmed, worst_start
+from verifier.forever import Forever, prove_forever
 from verifier.models import Array
+from verifier.pieces import Outcome, Piece, divided, prove_pieces
 from verifier.problem import Box, Problem
-from verifier.proof import OutOfTime, Prover
+from verifier.record import Record, joined
 from verifier.result import Result
-from verifier.rows import THETA, F, S, V
+from verifier.rows import S
 
-#: Errors (m, rad) allowed per step, tried in turn on what the one before left open.
-TOLERANCES = (1e-6, 1e-8, 1e-10, 1e-12)
-#: A box is given up rather than split into more pieces than this (along its other axes).
-MOST_BOXES = 4096
-_STATE = {"s": S, "f": F, "v": V, "theta": THETA}
-
-
-@dataclass
-class _Tally:
-    """What has been decided so far: shares of the start set, and the proof's figures.
-
-    decided: share proved in boxes that are done with; current: in the box at hand.
-    """
-
-    decided: float = 0.0
-    current: float = 0.0
-    least: float = np.inf
-    leaves: int = 0
-    paths: int = 1
-    complete: bool = False  # whether every box was treated to its end
-    open: list[tuple[Array, Array]] = field(default_factory=list)
+#: The falsifier's first search may take this share of the time, and no more seconds than this.
+SEARCH_SHARE, SEARCH_MOST = 0.2, 30.0
+#: Runs of more control periods than this are proved safe for ever, if that succeeds; the
+#: falsifier looks at no more of them.
+LONG = 1000
+#: Open pieces that are searched for a witness.
+MOST_SEARCHED = 64
 
 
 def verify(
     problem: Problem, steer: Steer, timeout: float = np.inf,
-    report: Callable[[float], None] = lambda share: None,
+    report: Callable[[float], None] = lambda share: None, workers: int = 1,
 ) -> Result:  # fmt: skip
     """Decide a problem within ``timeout`` seconds; ``report`` gets the share decided."""
-    began = time.perf_counter()
+    return verify_recorded(problem, steer, timeout, report, workers, recorded=False)[0]
+
+
+def verify_recorded(
+    problem: Problem,
+    steer: Steer,
+    timeout: float = np.inf,
+    report: Callable[[float], None] = lambda share: None,
+    workers: int = 1,
+    recorded: bool = True,
+) -> tuple[Result, Record | None]:
+    """Decide a problem; with it, if it is unsat and ``recorded``, the record of the proof."""
+    began = time.monotonic()
     deadline = began + timeout
-
-    def check() -> None:
-        if time.perf_counter() > deadline:
-            raise OutOfTime
-
-    worst = worst_start(problem, steer, problem.lower, problem.upper)
-    tally, note = _Tally(), ""
-    if not (worst.margin <= 0 and confirmed(problem, steer, worst.start)):
+    searched = replace(problem, steps=min(problem.steps, LONG))
+    seconds = min(SEARCH_SHARE * timeout, SEARCH_MOST)
+    worst = worst_start(searched, steer, problem.lower, problem.upper, seconds=seconds)
+    box = Box(problem.lower, problem.upper, lead(searched, steer))
+    outcomes: list[Outcome] = []
+    pieces: list[Piece] = []
+    note = ""
+    if not (worst.margin <= 0 and confirmed(problem, steer, worst)):
         try:
-            _prove(problem, worst.margin, check, tally, report)
-            for low, high in tally.open:
-                check()
-                found = worst_start(problem, steer, low, high)
-                worst = min(worst, found, key=lambda w: w.margin)
-                if worst.margin <= 0:
-                    break
-        except OutOfTime:
+            if problem.steps > LONG:
+                circle = prove_forever(problem, box, worst.margin, deadline, report)
+                if circle.proved:
+                    return _proved_forever(circle, worst, began), None
+                note = circle.note
+            pieces = divided(len(cases(problem.disturbance, problem.plant.lidar.rays)), workers)
+            for outcome in prove_pieces(
+                problem, box, pieces, worst.margin, deadline, recorded, workers, report
+            ):
+                outcomes.append(outcome)
+            worst = _search_open(searched, steer, box, outcomes, worst, deadline)
+        except TooManyChoices:
+            note = "there are more choices of missing rays than can be tried"
+        if not all(o.in_time for o in outcomes):
             note = "the time limit was reached"
-    unsafe = worst.margin <= 0 and confirmed(problem, steer, worst.start)
-    proved = tally.complete and not tally.open
+    unsafe = worst.margin <= 0 and confirmed(problem, steer, worst)
+    proved = 0 < len(outcomes) == len(pieces) and all(
+        o.in_time and not o.low.size for o in outcomes
+    )
     verdict = "sat" if unsafe else "unsat" if proved else "unknown"
-    return Result(
+    decided = sum(o.decided for o in outcomes) / len(pieces) if outcomes else 0.0
+    result = Result(
         verdict=verdict,
-        margin_lower=tally.least if verdict == "unsat" else None,
+        margin_lower=min(o.least for o in outcomes) if verdict == "unsat" else None,
         margin_upper=worst.margin,
-        decided=1.0 if unsafe else tally.decided + tally.current,
-        leaves=tally.leaves,
-        paths=tally.paths,
-        time_s=time.perf_counter() - began,
-        witness={n: float(worst.start[i]) for n, i in _STATE.items()} if unsafe else None,
+        decided=1.0 if verdict != "unknown" else decided,
+        leaves=sum(o.leaves for o in outcomes),
+        paths=1 + sum(o.cuts for o in outcomes),
+        time_s=time.monotonic() - began,
+        witness=worst.witness() if unsafe else None,
         note=note,
+        network_time_s=sum(o.network_time_s for o in outcomes),
+    )
+    records = [o.record for o in outcomes if o.record is not None]
+    return result, joined(records) if verdict == "unsat" and records else None
+
+
+def _proved_forever(circle: Forever, worst: Worst, began: float) -> Result:
+    return Result(
+        verdict="unsat",
+        margin_lower=circle.least,
+        margin_upper=worst.margin,
+        decided=1.0,
+        leaves=circle.leaves,
+        paths=1 + circle.cuts,
+        time_s=time.monotonic() - began,
+        witness=None,
+        note=f"safe for ever: the states at corner {len(circle.corners) + 1} are among those of "
+        f"corner {circle.returns + 1}",
     )
 
 
-def _prove(
-    problem: Problem, wanted: float, check: Callable[[], None], tally: _Tally,
-    report: Callable[[float], None],
-) -> None:  # fmt: skip
-    """Prove box after box; what stays open is split along its widest other axis."""
-    prover = Prover(problem, wanted, check)
-    whole = Box(problem.lower, problem.upper, int(np.argmax(problem.upper - problem.lower)))
-    boxes = [(whole, 1.0)]
-    opened = 1
-    while boxes:
-        box, share = boxes.pop()
-        low, high = _prove_box(prover, box, share, tally, report)
-        tally.current = 0.0
-        if not low.size:
-            tally.decided += share
-            report(tally.decided)
-            continue
-        widths = box.upper - box.lower
-        widths[box.lead] = 0
-        if widths.max() > 0 and opened < MOST_BOXES:
-            opened += 1
-            boxes += [(half, share / 2) for half in box.halves(int(widths.argmax()))]
-            continue
-        tally.decided += share * (1 - float(np.sum(high - low)) / 2)
-        tally.open += _pieces(box, low, high)
-    tally.complete = True
-    if not tally.open:
-        tally.decided = 1.0
-
-
-def _prove_box(
-    prover: Prover, box: Box, share: float, tally: _Tally, report: Callable[[float], None]
-) -> tuple[Array, Array]:
-    """Return the pieces (within [-1, 1]) of a box that stay open at every tolerance."""
-    low, high = np.array([-1.0]), np.array([1.0])
-    for tolerance in TOLERANCES:
-        proof = prover.prove(box, low, high, tolerance)
-        tally.least = min(tally.least, proof.least)
-        tally.leaves += proof.leaves
-        tally.paths = 1 + prover.cuts
-        low, high = merged(proof.low, proof.high)
-        tally.current = share * (1 - float(np.sum(high - low)) / 2)
-        report(tally.decided + tally.current)
-        if not low.size:
+def _search_open(
+    problem: Problem, steer: Steer, box: Box, outcomes: list[Outcome], worst: Worst, deadline: float
+) -> Worst:
+    """Look for a witness in what the proof left open, the widest pieces first."""
+    pieces = [
+        (high - low, *_start_box(box, low, high))
+        for outcome in outcomes
+        for low, high in zip(outcome.low, outcome.high, strict=True)
+    ]
+    pieces.sort(key=lambda piece: -piece[0])
+    for _, lower, upper in pieces[:MOST_SEARCHED]:
+        if worst.margin <= 0 or time.monotonic() > deadline:
             break
-    return low, high
+        left = max(0.0, deadline - time.monotonic())
+        found = worst_start(problem, steer, lower, upper, seconds=left)
+        worst = min(worst, found, key=lambda w: w.margin)
+    return worst
 
 
-#: The ends of a row's piece are tracked to within this (in the box's units, -1 to 1).
-_TRACKED = 2e-12
-
-
-def merged(low: Array, high: Array) -> tuple[Array, Array]:
-    """Return intervals within [-1, 1] that cover the given pieces, joined where they touch.
-
-    They are a little wider, so that they cover the pieces as the models mean them, too.
-    """
-    low, high = np.maximum(low - _TRACKED, -1.0), np.minimum(high + _TRACKED, 1.0)
-    order = np.argsort(low)
-    joined: list[list[float]] = []
-    for a, b in zip(low[order], high[order], strict=True):
-        if joined and a <= joined[-1][1]:
-            joined[-1][1] = max(joined[-1][1], b)
-        else:
-            joined.append([a, b])
-    pairs = np.array(joined).reshape(-1, 2)
-    return pairs[:, 0], pairs[:, 1]
-
-
-def _pieces(box: Box, low: Array, high: Array) -> list[tuple[Array, Array]]:
-    """Return pieces of a box as start boxes."""
+def _start_box(box: Box, low: float, high: float) -> tuple[Array, Array]:
+    """Return the part [low, high] of a box along its lead component."""
     middle, half = (box.lower + box.upper) / 2, (box.upper - box.lower) / 2
-    pieces = []
-    for a, b in zip(low, high, strict=True):
-        lower, upper = box.lower.copy(), box.upper.copy()
-        lower[box.lead] = max(box.lower[box.lead], middle[box.lead] + a * half[box.lead])
-        upper[box.lead] = min(box.upper[box.lead], middle[box.lead] + b * half[box.lead])
-        pieces.append((lower, upper))
-    return pieces
+    lower, upper, i = box.lower.copy(), box.upper.copy(), box.lead
+    lower[i] = max(box.lower[i], middle[i] + low * half[i])
+    upper[i] = min(box.upper[i], middle[i] + high * half[i])
+    return lower, upper
+
+
+def lead(problem: Problem, steer: Steer) -> int:
+    """Return the start component that x is to run along: the one that moves the car most.
+
+    Its effect is taken after the first second: others may die away until the turn.
+    """
+    free = np.flatnonzero(problem.upper > problem.lower)
+    if len(free) < 2:
+        return int(free[0]) if len(free) else S
+    middle = (problem.lower + problem.upper) / 2
+    ends = np.tile(middle, (2 * len(free), 1))
+    for i, component in enumerate(free):
+        ends[2 * i, component] = problem.lower[component]
+        ends[2 * i + 1, component] = problem.upper[component]
+    state = State.start(*ends.T)
+    runs = simulate(problem.plant, steer, problem.safety, state, problem.steps, record=True)
+    assert runs.trace is not None
+    later = slice(min(10, problem.steps), None)
+    traces = np.stack([runs.trace[name][:, later] for name in ("s", "f", "theta")], axis=1)
+    moved = np.abs(traces[1::2] - traces[::2]).max(axis=(1, 2))
+    return int(free[np.nan_to_num(moved).argmax()])

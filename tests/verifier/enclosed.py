@@ -68,15 +68,26 @@ def one_row(pose: np.ndarray, slopes: np.ndarray, errors: np.ndarray, radius: fl
     slopes: ``[5, 4]``, coefficients of x to x^5; errors: ``[2 m, 4]``, of the symbols.
     """
     c = np.concatenate([pose[None], slopes, errors])[..., None]
+    return rows_of(Models(c, np.full((4, 1), radius)))
+
+
+def rows_of(state: Models) -> Rows:
+    """Return rows on whole pieces, nothing known of them but their state ``[4, rows]``."""
+    count = state.radius.shape[-1]
     return Rows(
-        state=Models(c, np.full((4, 1), radius)),
-        frame=np.zeros(1, dtype=np.intp),
-        low=np.array([-1.0]),
-        high=np.array([1.0]),
-        least=np.array([np.inf]),
-        decisions=((),),
-        kink=np.zeros(1),
-        tried=np.array([np.inf]),
+        state=state,
+        frame=np.zeros(count, dtype=np.intp),
+        low=np.full(count, -1.0),
+        high=np.ones(count),
+        least=np.full(count, np.inf),
+        decisions=((),) * count,
+        kink=np.zeros(count),
+        tried=np.full(count, np.inf),
+        borne=np.zeros(count),
+        case=np.zeros(count, dtype=np.intp),
+        splits=np.zeros(count, dtype=np.intp),
+        gathered=np.zeros(count, dtype=bool),
+        node=np.full(count, -1),
     )
 
 
@@ -117,7 +128,9 @@ def settle(prover: Prover, rows: Rows, kink: float, most: int = 400):
 
     Rows that are still open after ``most`` rounds count as given up.
     """
-    todo, settled, scans, failed = [rows], [], [], []
+    todo, settled, scans = [rows], [], []
+    divider = prover._divider
+    divider.failed = []
     for _ in range(most):
         if not todo:
             break
@@ -125,12 +138,12 @@ def settle(prover: Prover, rows: Rows, kink: float, most: int = 400):
         scan = prover._scanners[int(batch.frame[0])].measure(batch, kink)
         blocked = scan.unclear.copy()
         blocked[scan.guards.row] = True
-        todo += [r for r in prover._cut(batch, scan.guards, scan.unclear, failed) if len(r)]
+        todo += [r for r in divider.cut(batch, scan.guards, scan.unclear) if len(r)]
         clear = np.flatnonzero(~blocked)
         if clear.size:
             settled.append(batch.take(clear))
             scans.append(scan.distance[:, clear])
-    failed += todo
+    failed = divider.failed + todo
     empty = rows.take(np.zeros(len(rows), dtype=bool))
     return settled, scans, join(failed) if failed else empty
 

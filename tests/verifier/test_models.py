@@ -8,6 +8,7 @@ from exact_members import Place, arb, excess, member, places, random_models, wor
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from verifier import arithmetic
 from verifier import models as under_test
 from verifier.models import (
     TERMS,
@@ -19,6 +20,7 @@ from verifier.models import (
     multiply,
     spread,
     stack,
+    substitute,
 )
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -89,14 +91,14 @@ def test_products_of_short_models_are_no_larger_than_they_need_be():
 
 
 def test_the_check_sees_a_product_without_its_rounding(monkeypatch):
-    monkeypatch.setattr(under_test, "gamma", lambda n: 0.0)
+    monkeypatch.setattr(arithmetic, "gamma", lambda n: 0.0)
     random = np.random.default_rng(0)
     a, b = random_models(random, (ROWS,), 1e-10), random_models(random, (ROWS,), 1e-10)
     assert worst_excess([a, b], multiply(a, b), lambda x, y: x * y, random) > 1
 
 
 def test_the_check_sees_a_sum_without_its_rounding(monkeypatch):
-    monkeypatch.setattr(under_test, "U", 0.0)
+    monkeypatch.setattr(arithmetic, "U", 0.0)
     random, a, b = two(1, 0.1, 0.0, 1.0)
     assert worst_excess([a, b], a + b, lambda x, y: x + y, random) > 1
 
@@ -210,3 +212,46 @@ def test_constants_and_stacks():
     both = stack([a, a.times(2.0)])
     assert both.c.shape == (TERMS + 4, 2, 2)
     assert both[1].c[0].tolist() == [0.2, 0.4]
+
+
+def test_indices_mean_what_they_mean_in_numpy():
+    a = random_models(np.random.default_rng(0), (3, 5), 1.0, 2, 1e-3)
+    some = np.array([True, False, True, True, False])
+    for index in (
+        1, (1, 2), (slice(0, 2), slice(1, None)), (slice(None), np.array([3, 0, 3])),
+        (2, np.array([4, 1])), (slice(None), some), (slice(None), np.arange(5)), (None, 1),
+        (np.array([0, 2]), np.array([1, 3])), (slice(None), np.zeros(0, dtype=int)),
+    ):  # fmt: skip
+        found, full = a[index], index if isinstance(index, tuple) else (index,)
+        assert np.array_equal(found.c, a.c[(slice(None), *full)])
+        assert np.array_equal(found.radius, a.radius[full])
+    assert a[:, np.array([3, 0])].c.flags.c_contiguous
+
+
+def narrowed(random: np.random.Generator, a: Models) -> list[float]:
+    """Return by how much members, found at their new places, exceed the narrowed models."""
+    low = random.uniform(-1, 1, ROWS)
+    high = low + (1 - low) * random.random(ROWS) ** random.integers(1, 40)
+    middle, half = (low + high) / 2, (high - low) / 2
+    result, found = substitute(a, middle, half), []
+    for row in range(ROWS):
+        for place in places(random, a.symbols):
+            old = arb(float(middle[row])) + arb(float(half[row])) * arb(place.x)
+            for component in range(2):
+                before = member(a, (component, row), Place(old, place.e), 1.0)
+                found.append(excess(result, (component, row), place, before))
+    return found
+
+
+@settings(max_examples=60)
+@given(SEEDS, WIDTHS, ERRORS, st.sampled_from([0, 2, 4]))
+def test_substitution_keeps_every_member(seed, width, error, symbols):
+    random = np.random.default_rng(seed)
+    a = random_models(random, (2, ROWS), width, symbols, error)
+    assert max(narrowed(random, a)) <= 1
+
+
+def test_the_check_sees_a_substitution_without_its_rounding(monkeypatch):
+    monkeypatch.setattr(arithmetic, "gamma", lambda n: 0.0)
+    random = np.random.default_rng(0)
+    assert max(narrowed(random, random_models(random, (2, ROWS), 1.0, 2, 0.0))) > 1

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from racecar.bicycle import Bicycle
-from verifier import motion as under_test
+from verifier.arithmetic import Model
 from verifier.models import TERMS, Models, stack
-from verifier.motion import Motion, _slip, sinc
+from verifier.motion import Motion, sinc, slip_pair
 from verifier.rows import THETA, F, S, V
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -49,19 +49,20 @@ def test_sinc_up_to_its_limit():
 def test_slip_angles(seed, width, error):
     random = np.random.default_rng(seed)
     z = random_models(random, (ROWS,), width, 2, error, random.choice([0.0, 0.13]))
-    result = _slip(z)
-    finite = np.isfinite(result.radius).all(axis=0)
-    z, result = z[finite], result[:, finite]
-    assert worst_excess([z], result[0], lambda t: t.atan().cos(), random) <= 1
-    assert worst_excess([z], result[1], lambda t: t.atan().sin(), random) <= 1
+    cosine, sine = slip_pair(z)
+    finite = np.isfinite(cosine.radius) & np.isfinite(sine.radius)
+    z, cosine, sine = z[finite], cosine[finite], sine[finite]
+    assert worst_excess([z], cosine, lambda t: t.atan().cos(), random) <= 1
+    assert worst_excess([z], sine, lambda t: t.atan().sin(), random) <= 1
 
 
 def test_slip_up_to_its_limit():
     z = Models(np.array([[0.4999], *[[0.0]] * 5]), np.zeros(1))
-    cosine = _slip(z)[0]
+    cosine = slip_pair(z)[0]
     off = abs(arb(0.4999).atan().cos() - arb(float(cosine.c[0, 0])))
     assert 0.1 < float(off / arb(float(cosine.radius[0]))) < 1
-    assert _slip(Models(np.array([[0.51], *[[0.0]] * 5]), np.zeros(1))).radius[0, 0] == np.inf
+    beyond = slip_pair(Models(np.array([[0.51], *[[0.0]] * 5]), np.zeros(1)))
+    assert beyond[0].radius[0] == np.inf
 
 
 def car_constants(car: Bicycle, period: float) -> tuple[arb, ...]:
@@ -173,10 +174,8 @@ def test_the_check_sees_a_constant_whose_error_is_not_counted(name):
 def test_the_check_sees_a_sinc_cut_off_too_early(monkeypatch):
     """The radius at the limit is mostly what is cut off: a tenth of it does not hold."""
     z = Models(np.array([[0.9999], *[[0.0]] * 5]), np.zeros(1))
-    widen = Models.widen
-    monkeypatch.setattr(
-        under_test.Models, "widen", lambda self, amount: widen(self, np.asarray(amount) * 0.1)
-    )
+    widen = Model.widen
+    monkeypatch.setattr(Model, "widen", lambda self, amount: widen(self, amount * 0.1))
     result = sinc(z)
     off = abs(exact_sinc(arb(0.9999)) - arb(float(result.c[0, 0])))
     assert off > arb(float(result.radius[0]))

@@ -10,25 +10,29 @@ import numpy as np
 import pytest
 from enclosed import TRACKS, problem_of, zero_controller
 from instances import ALONG, everywhere, grown, least_simulated, question, replayed, save
-from whole_runs import random_controller, shifted
+from whole_runs import random_controller, shifted, simulated
 
 from harness.records import WitnessOutcome
 from harness.replay import check_witness
 from racecar.controller import Controller, Layer, load_controller
+from racecar.instance import load_instance
 from racecar.lidar import Lidar
 from racecar.polygon import Polygon
 from racecar.safety import Property, named_property
-from verifier import proof
+from verifier import divide, pieces
 from verifier import verify as under_test
-from verifier.problem import Box, Problem
-from verifier.proof import OutOfTime, Prover
+from verifier.divide import Divider
+from verifier.pieces import Outcome, Piece, merged
+from verifier.problem import Box, Problem, load_problem
+from verifier.proof import Prover
 from verifier.result import Result
-from verifier.verify import merged, verify
+from verifier.verify import verify
 
 SQUARE = TRACKS["square"]
 ONNX = Path(__file__).parents[2] / "onnx"
 COMMITTED = ["TD3_L21_64x64_C1", "DDPG_L21_64x64_C1"]
 HAIR = 1e-4
+WHOLE = Piece(0, -1.0, 1.0)
 
 
 def decide(problem: Problem, timeout: float = 20.0) -> Result:
@@ -46,8 +50,8 @@ def proved_pieces(problem: Problem, count: int = 1) -> tuple[np.ndarray, np.ndar
     return result.low, result.high
 
 
-def is_open(pieces: tuple[np.ndarray, np.ndarray], x: float) -> bool:
-    low, high = pieces
+def is_open(found: tuple[np.ndarray, np.ndarray], x: float) -> bool:
+    low, high = found
     return bool(((low <= x) & (x <= high)).any())
 
 
@@ -82,12 +86,12 @@ def test_safe_by_a_hair_is_proved_and_unsafe_by_a_hair_refuted(side):
 @pytest.mark.parametrize("where", [0.65, 0.7123456789, 0.85])
 def test_the_proof_alone_never_closes_an_unsafe_sliver(where, monkeypatch):
     """Unsafe for starts within 1e-7 m of a point that no search will hit."""
-    monkeypatch.setattr(proof, "NARROWEST", 1e-4)
+    monkeypatch.setattr(divide, "NARROWEST", 1e-4)
     sliver = [[1.0, 0.0, where + 1e-7], [-1.0, 0.0, -(where - 1e-7)]]
     problem = straight(sliver)
-    pieces = proved_pieces(problem)
-    assert is_open(pieces, (where - 0.75) / 0.1)
-    assert np.sum(pieces[1] - pieces[0]) < 0.01  # and little else
+    found = proved_pieces(problem)
+    assert is_open(found, (where - 0.75) / 0.1)
+    assert np.sum(found[1] - found[0]) < 0.01  # and little else
 
 
 def test_the_last_instant_counts_and_the_first():
@@ -142,19 +146,17 @@ def test_networks_made_safe_and_unsafe_by_a_hair(name):
 
 @pytest.mark.parametrize("name", COMMITTED)
 def test_the_proof_alone_leaves_an_unsafe_network_open(name, monkeypatch):
-    monkeypatch.setattr(proof, "NARROWEST", 0.02)
+    monkeypatch.setattr(divide, "NARROWEST", 0.02)
     problem = corner_question(load_controller(ONNX / f"{name}.onnx"))
     margin = least_simulated(problem)
     unsafe = replace(problem, safety=grown(problem.safety, margin + 1e-6))
-    pieces = proved_pieces(unsafe)
+    found = proved_pieces(unsafe)
     x = np.linspace(-1, 1, 201)
     s = 0.7005 + 0.0005 * x
     starts = np.stack([s, *np.tile([[4.2], [2.35], [0.0]], 201)], axis=1)
-    from whole_runs import simulated
-
     crashed = simulated(unsafe, starts).margin <= 0
     assert crashed.any()
-    assert all(is_open(pieces, place) for place in x[crashed])
+    assert all(is_open(found, place) for place in x[crashed])
 
 
 @pytest.mark.parametrize("by", [2.0, -2.0])
@@ -171,8 +173,6 @@ def test_a_network_whose_last_bias_is_shifted_is_refuted(by, tmp_path):
     result.write(tmp_path / "result")
     verdict, _, witness = (tmp_path / "result").read_bytes().partition(b"\n")
     assert verdict == b"sat"
-    from racecar.instance import load_instance
-
     check = check_witness(load_instance(path), path, witness)
     assert check.outcome is WitnessOutcome.CORRECT
 
@@ -216,29 +216,29 @@ NOWHERE = [[1.0, 0.0, -100.0]]
 
 def test_unsafe_sets_that_differ_between_frames(monkeypatch):
     """Frames of one shape, but the next one's unsafe set is reached: f falls below 14."""
-    monkeypatch.setattr(proof, "NARROWEST", 0.2)
+    monkeypatch.setattr(divide, "NARROWEST", 0.2)
     reached = [[[0.0, 1.0, 14.0]]]
     problem = into_the_next_hall([[NOWHERE], reached, [NOWHERE], [NOWHERE]], steps=9)
     assert least_simulated(problem) < 0
     assert decide(problem).verdict == "sat"
     low, high = proved_pieces(problem)
-    assert merged(low, high)[0].tolist() == [-1.0]
-    assert merged(low, high)[1].tolist() == [1.0]
+    assert merged(low, high, WHOLE)[0].tolist() == [-1.0]
+    assert merged(low, high, WHOLE)[1].tolist() == [1.0]
 
 
 def test_a_row_that_straddles_the_change_of_frame_is_judged_in_both(monkeypatch):
     """In the first frame s >= 5.1 is unsafe: only those who begin a step just below 5 get there."""
-    monkeypatch.setattr(proof, "NARROWEST", 0.05)
+    monkeypatch.setattr(divide, "NARROWEST", 0.05)
     problem = into_the_next_hall([[[[-1.0, 0.0, -5.1]]], [NOWHERE], [NOWHERE], [NOWHERE]], steps=6)
     starts = np.linspace(-1, 1, 201)
     s = 4.1 + 0.1 * starts
     ends = s[:, None] + 0.24 * np.arange(7)
     unsafe = ((ends[:, :-1] <= 5.0) & (ends[:, 1:] >= 5.1 + 1e-6)).any(axis=1)
     assert 0.2 < unsafe.mean() < 0.8
-    pieces = proved_pieces(problem)
-    assert all(is_open(pieces, x) for x in starts[unsafe])
+    found = proved_pieces(problem)
+    assert all(is_open(found, x) for x in starts[unsafe])
     clearly_safe = ~((ends[:, :-1] <= 5.0 + 0.02) & (ends[:, 1:] >= 5.1 - 0.02)).any(axis=1)
-    assert not any(is_open(pieces, x) for x in starts[clearly_safe])
+    assert not any(is_open(found, x) for x in starts[clearly_safe])
     assert decide(problem).verdict == "sat"
 
 
@@ -249,7 +249,7 @@ def test_steering_without_bound_is_never_called_safe():
     safety = everywhere("nowhere", SQUARE, NOWHERE)
     problem = question(wild, [0.7, 9.9, 0.0, 0.0], [0.71, 9.9, 0.0, 0.0], steps=2, safety=safety)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(proof, "NARROWEST", 0.1)
+        patch.setattr(divide, "NARROWEST", 0.1)
         assert decide(problem).verdict == "unknown"
 
 
@@ -265,9 +265,9 @@ def test_networks_that_overflow_are_never_called_safe():
         safety=everywhere("nowhere", SQUARE, NOWHERE),
     )  # fmt: skip
     with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"):
-        patch.setattr(proof, "NARROWEST", 0.1)
-        pieces = proved_pieces(problem)
-    assert is_open(pieces, 0.0)
+        patch.setattr(divide, "NARROWEST", 0.1)
+        found = proved_pieces(problem)
+    assert is_open(found, 0.0)
 
 
 def test_headings_beyond_all_reason_are_left_open():
@@ -290,37 +290,45 @@ def test_a_time_limit_gives_an_honest_unknown():
     assert "time limit" in result.note
 
 
-def test_a_limit_before_the_last_box_leaves_the_verdict_open(monkeypatch):
-    """Three boxes of four are proved when the time is up."""
-    calls = []
+def outcome(piece: Piece, decided: float, in_time: bool, *rest: float) -> Outcome:
+    """Return an outcome; rest: ends of the only part that stays open."""
+    low, high = np.array(rest[:1]), np.array(rest[1:])
+    return Outcome(piece, low, high, 0.5, 1, 0, decided, in_time, None)
 
-    def prove_box(prover, box, share, tally, report):
-        calls.append(share)
-        if len(calls) <= 2:
-            return np.array([-1.0]), np.array([1.0])
-        if len(calls) == 5:
-            raise OutOfTime
-        return np.zeros(0), np.zeros(0)
 
-    monkeypatch.setattr(under_test, "_prove_box", prove_box)
-    problem = question(zero_controller(5), [0.7, 9.9, 1.0, 0.0], [0.8, 9.95, 1.1, 0.05], steps=1)
-    result = decide(problem)
-    assert len(calls) == 5
-    assert result.verdict == "unknown"
-    assert result.decided == 0.5
+@pytest.mark.parametrize(
+    ("last", "verdict", "decided"),
+    [
+        ((1.0, True), "unsat", 1.0),
+        ((1.0, False), "unknown", 1.0),  # a piece that was not treated to its end
+        ((0.25, False, 0.0, 1.0), "unknown", 0.625),
+        ((0.9, True, 0.9, 1.0), "unknown", 0.95),
+        (None, "unknown", 0.5),  # no outcome at all
+    ],
+)
+def test_one_piece_that_is_not_proved_leaves_the_verdict_open(monkeypatch, last, verdict, decided):
+    halves = [Piece(0, -1.0, 0.0), Piece(0, 0.0, 1.0)]
+    found = [outcome(halves[0], 1.0, True)]
+    found += [outcome(halves[1], *last)] if last else []
+    monkeypatch.setattr(under_test, "divided", lambda cases, workers: halves)
+    monkeypatch.setattr(under_test, "prove_pieces", lambda *arguments: iter(found))
+    result = decide(straight([[1.0, 0.0, 0.6]]))
+    assert result.verdict == verdict
+    assert result.decided == pytest.approx(decided)
+    assert (result.margin_lower is None) == (verdict != "unsat")
 
 
 def test_a_row_that_is_lost_on_the_way_counts_as_open(monkeypatch):
     """Were a row dropped by mistake, the cover of the leaves would show it."""
-    original = Prover._advance
+    original = Divider.advance
 
-    def lose_one(self, rows):
-        rows = original(self, rows)
-        return rows.take(np.arange(1, len(rows))) if len(rows) > 1 else rows
+    def lose_one(self, rows, change):
+        parts = original(self, rows, change)
+        return parts[1:] if len(parts) > 1 else parts
 
-    monkeypatch.setattr(Prover, "_advance", lose_one)
-    monkeypatch.setattr(proof, "NARROWEST", 0.01)
-    monkeypatch.setattr(under_test, "TOLERANCES", (1e-6,))
+    monkeypatch.setattr(Divider, "advance", lose_one)
+    monkeypatch.setattr(divide, "NARROWEST", 0.01)
+    monkeypatch.setattr(pieces, "TOLERANCES", (1e-6,))
     lower, upper = [4.0, 0.75, 2.4, ALONG], [4.2, 0.75, 2.4, ALONG]
     safety = everywhere("nowhere", SQUARE, NOWHERE)
     problem = question(zero_controller(21), lower, upper, safety=safety, steps=6)
@@ -331,10 +339,10 @@ def test_a_row_that_is_lost_on_the_way_counts_as_open(monkeypatch):
 
 def test_open_pieces_are_padded_for_the_rounding_of_their_ends(monkeypatch):
     """A failed row's exact piece lies within what is reported to be tried again."""
-    monkeypatch.setattr(proof, "NARROWEST", 1e-3)
+    monkeypatch.setattr(divide, "NARROWEST", 1e-3)
     where = 0.7123456789
     sliver = [[1.0, 0.0, where + 1e-5], [-1.0, 0.0, -(where - 1e-5)]]
-    low, high = merged(*proved_pieces(straight(sliver)))
+    low, high = merged(*proved_pieces(straight(sliver)), WHOLE)
     edges = np.array([(where - 1e-5 - 0.75) / 0.1, (where + 1e-5 - 0.75) / 0.1])
     assert len(low) == 1
     assert low[0] < edges[0]
@@ -343,26 +351,26 @@ def test_open_pieces_are_padded_for_the_rounding_of_their_ends(monkeypatch):
 
 def test_merged_intervals_cover_the_given_ones_and_little_more():
     low, high = np.array([0.5, -1.0, 0.0, 0.2]), np.array([1.0, -0.5, 0.2, 0.3])
-    joined = merged(low, high)
+    joined = merged(low, high, WHOLE)
     assert joined[0] == pytest.approx([-1.0, 0.0, 0.5], abs=1e-11)
     assert joined[1] == pytest.approx([-0.5, 0.3, 1.0], abs=1e-11)
     assert (joined[0] <= [-1.0, 0.0, 0.5]).all()
     assert (joined[1] >= [-0.5, 0.3, 1.0]).all()
-    empty = merged(np.zeros(0), np.zeros(0))
+    empty = merged(np.zeros(0), np.zeros(0), WHOLE)
     assert empty[0].size == empty[1].size == 0
 
 
 def test_rows_in_frames_of_one_shape_are_judged_by_their_own_unsafe_sets(monkeypatch):
     """In the next frame f >= 14.9 is unsafe: those have just come in, the others are behind."""
-    monkeypatch.setattr(proof, "NARROWEST", 0.05)
+    monkeypatch.setattr(divide, "NARROWEST", 0.05)
     unsafe = [[NOWHERE], [[[0.0, -1.0, -14.9]]], [NOWHERE], [NOWHERE]]
     problem = into_the_next_hall(unsafe, steps=5)
     x = np.linspace(-1, 1, 201)
     ends = 4.1 + 0.1 * x[:, None] + 0.24 * np.arange(5)
     entered = ((ends > 5.0) & (ends <= 5.1 - 1e-6)).any(axis=1)
     assert 0.2 < entered.mean() < 0.8
-    pieces = proved_pieces(problem, 8)
-    assert all(is_open(pieces, place) for place in x[entered])
+    found = proved_pieces(problem, 8)
+    assert all(is_open(found, place) for place in x[entered])
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -380,3 +388,46 @@ def test_verdicts_of_small_networks_agree_with_dense_simulation(seed):
         assert replayed(problem, result.witness) <= 0
     if margin < 0:
         assert result.verdict != "unsat"
+
+
+FULL = "full_range/json/TD3_L21_128x128_C1.full_range.clearance.json"
+
+
+def published(steps: int = 70) -> Problem:
+    """Return a published instance: a TD3 controller from the whole range of starts."""
+    path = Path(__file__).parents[2] / "benchmarks" / FULL
+    return replace(load_problem(path)[1], steps=steps)
+
+
+def test_the_whole_range_is_proved_close_to_the_least_simulated_margin():
+    problem = published()
+    result = decide(problem, 60.0)
+    assert (result.verdict, result.decided) == ("unsat", 1.0)
+    least = least_simulated(problem, 4001)
+    assert least - 1e-4 <= result.margin_lower <= least
+    # The unsafe set of hscc20 is a part of that of clearance.
+    weaker = replace(problem, safety=named_property("hscc20", problem.plant.track))
+    assert decide(weaker, 60.0).margin_lower >= result.margin_lower - 1e-6
+
+
+@pytest.mark.parametrize("hair", [1e-4, -1e-4])
+def test_a_wall_a_hair_beyond_or_within_reach_is_decided_rightly(hair):
+    """An unsafe half-plane s >= (the largest s that simulation reaches) + hair."""
+    problem = replace(published(40), safety=everywhere("far", SQUARE, NOWHERE))
+    starts = problem.lower + np.linspace(0, 1, 2001)[:, None] * (problem.upper - problem.lower)
+    trace = simulated(problem, starts).trace
+    assert np.all(trace["frame"] == 0)
+    wall = [[-1.0, 0.0, -(trace["s"].max() + hair)]]
+    result = decide(replace(problem, safety=everywhere("wall", SQUARE, wall)), 60.0)
+    assert result.verdict == ("unsat" if hair > 0 else "sat")
+
+
+def test_states_with_several_uncertain_components_are_proved_where_small():
+    problem = replace(
+        published(20),
+        lower=np.array([0.75, 9.9, 1.0, 0.0]),
+        upper=np.array([0.751, 9.901, 1.001, 0.001]),
+    )
+    result = decide(problem, 60.0)
+    assert result.verdict == "unsat"
+    assert result.margin_lower <= result.margin_upper

@@ -20,7 +20,7 @@ from verifier.result import Result
 
 FIELDS = {
     "instance", "verdict", "margin_lower", "margin_upper", "decided", "leaves", "paths",
-    "time_s", "witness", "note",
+    "time_s", "witness", "note", "network_time_s",
 }  # fmt: skip
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from members import inside
 
-from racecar.closed_loop import Runs, State, simulate
+from racecar.closed_loop import Disturb, Runs, State, simulate
 from racecar.controller import Controller, Layer
-from verifier.models import TERMS, error_spread
-from verifier.problem import Box, Problem, start_rows
-from verifier.proof import Prover, uncovered
-from verifier.rows import Rows
+from racecar.faults import GivenFaults
+from racecar.lidar import Lidar
+from verifier.models import error_spread
+from verifier.problem import Box, Problem
+from verifier.proof import Prover
+from verifier.rows import Rows, join
 
 #: Simulation rounds, and so does a start's place in its row.
 EVALUATION = 1e-10
@@ -37,6 +39,18 @@ def random_controller(
     return Controller(tuple(layers))
 
 
+def tame_controller(lidar: Lidar, gain: float, most: float) -> Controller:
+    """Steer to where it is wider, by at most ``most`` rad: runs come together, and turn corners."""
+    side = -np.sign(np.round(lidar.angles, 9)) * np.abs(np.sin(lidar.angles))
+    weights = (gain * side / np.abs(side).sum())[None].astype(np.float32)
+    return Controller(
+        (
+            Layer(-weights, np.zeros(1, np.float32), "tanh"),
+            Layer(np.array([[most]], np.float32), np.zeros(1, np.float32), "linear"),
+        )
+    )
+
+
 def shifted(controller: Controller, by: float) -> Controller:
     """Return a controller whose last bias before the output's activation is shifted."""
     layers = list(controller.layers)
@@ -53,7 +67,7 @@ def random_starts(random: np.random.Generator, problem: Problem, count: int) -> 
     return problem.lower + share * (problem.upper - problem.lower)
 
 
-def simulated(problem: Problem, starts: np.ndarray) -> Runs:
+def simulated(problem: Problem, starts: np.ndarray, disturb: Disturb | None = None) -> Runs:
     """Run the real-valued network (float64) from starts ``[batch, 4]``."""
     return simulate(
         problem.plant,
@@ -61,6 +75,7 @@ def simulated(problem: Problem, starts: np.ndarray) -> Runs:
         problem.safety,
         State.start(*starts.T),
         problem.steps,
+        disturb,
         record=True,
     )
 
@@ -69,8 +84,10 @@ def simulated(problem: Problem, starts: np.ndarray) -> Runs:
 class Seen:
     """What the comparison saw: runs found in rows, and how full the enclosures were.
 
-    filled: the largest deviation from a row's polynomial over the claimed error; least: the
-    proved margin; margin: of the runs that were not given up; given_up: share of the starts.
+    found: runs times steps; filled: the largest deviation from a row's polynomial in the start
+    position over the claimed error; least: the proved margin; margin: of the runs that were not
+    given up; given_up: share of the starts; rows: at the end; gathered: rows that contain others;
+    divided: how often a row was divided along a symbol, at most; frames: that runs were in.
     """
 
     found: int = 0
@@ -79,63 +96,157 @@ class Seen:
     margin: float = np.inf
     given_up: float = 0.0
     rows: int = 0
+    gathered: int = 0
+    divided: int = 0
+    frames: set[int] = field(default_factory=set)
 
 
-def steps(problem: Problem, prover: Prover, tolerance: float, failed: list[Rows]) -> Iterator[Rows]:
-    """Yield the rows after each step, as Prover.prove treats them."""
-    widths = problem.upper - problem.lower
-    box = Box(problem.lower, problem.upper, int(np.argmax(widths)))
-    ends = np.array([-1.0]), np.array([1.0])
-    rows = start_rows(box, problem.active, *ends)
-    for _ in range(problem.steps):
-        if not len(rows):
-            return
-        rows = prover._step(rows, tolerance, failed)
-        yield rows
-    low = np.concatenate([rows.low, *(r.low for r in failed)])
-    high = np.concatenate([rows.high, *(r.high for r in failed)])
-    assert not len(uncovered(*ends, low, high)[0])
+class Watched(Prover):
+    """A prover that keeps its rows: after each step, gathered, and given up (after which step)."""
+
+    def __init__(self, *args, **options) -> None:
+        super().__init__(*args, **options)
+        self.after: dict[int, list[Rows]] = {}
+        self.together: dict[int, list[Rows]] = {}
+        self.given_up: list[tuple[int, Rows]] = []
+        give_up = self._divider.give_up
+
+        def watch(rows: Rows) -> None:
+            self.given_up.append((self._divider.step, rows))
+            give_up(rows)
+
+        self._divider.give_up = watch
+
+    def _step(self, rows: Rows, tolerance: float) -> Rows:
+        done = super()._step(rows, tolerance)
+        self.after.setdefault(self._divider.step + 1, []).append(done)
+        return done
+
+    def _gather(self, step: int, rows: Rows) -> Rows:
+        done = super()._gather(step, rows)
+        self.together.setdefault(step, []).append(done)
+        return done
 
 
-def compare(problem: Problem, starts: np.ndarray, tolerance: float) -> Seen:
+def compare(
+    problem: Problem,
+    starts: np.ndarray,
+    tolerance: float,
+    case: int = 0,
+    disturb: Disturb | None = None,
+) -> Seen:
     """Prove, simulate, and assert that every state of every run lies in a row of its step."""
-    runs = simulated(problem, starts)
+    runs = simulated(problem, starts, disturb)
     trace = runs.trace
     assert trace is not None
-    lead = int(np.argmax(problem.upper - problem.lower))
+    box = Box(problem.lower, problem.upper, int(np.argmax(problem.upper - problem.lower)))
     middle, half = (problem.upper + problem.lower) / 2, (problem.upper - problem.lower) / 2
+    lead = box.lead
     x = (starts[:, lead] - middle[lead]) / half[lead] if half[lead] else np.zeros(len(starts))
-    failed: list[Rows] = []
-    seen, rows = Seen(), None
-    for step, rows in enumerate(steps(problem, Prover(problem, 0.0), tolerance, failed), start=1):
+    prover, ends = Watched(problem, 0.0), (np.array([-1.0]), np.array([1.0]))
+    proof = prover.prove(box, *ends, tolerance, case)
+    seen = Seen(least=proof.least, rows=proof.leaves)
+    for step in range(1, problem.steps + 1):
+        excused = np.zeros(len(x), dtype=bool)
+        for when, part in prover.given_up:
+            if when < step:
+                for low, high in zip(part.low, part.high, strict=True):
+                    excused |= (x >= low) & (x <= high)
         going = (runs.crash_step < 0) | (runs.crash_step > step)
-        given_up = np.zeros(len(x), dtype=bool)
-        for part in failed:
-            for low, high in zip(part.low, part.high, strict=True):
-                given_up |= (x >= low - 1e-9) & (x <= high + 1e-9)
         states = np.stack([trace[name][:, step] for name in NAMES])
-        found = np.zeros(len(x), dtype=bool)
-        for row in range(len(rows)):
-            width, centre = rows.high[row] - rows.low[row], rows.high[row] + rows.low[row]
-            place = (2 * x - centre) / max(width, 1e-300)
-            mine = (np.abs(place) <= 1 + 1e-9) & (trace["frame"][:, step] == rows.frame[row])
-            if not mine.any():
+        for rows in (prover.after.get(step, []), prover.together.get(step)):
+            if rows is None:
                 continue
-            powers = np.clip(place[mine], -1, 1) ** np.arange(TERMS)[:, None]
-            claimed = error_spread(rows.state[:, row])[:, None]
-            off = np.abs(states[:, mine] - rows.state.c[:TERMS, :, row].T @ powers)
-            held = (off <= claimed + EVALUATION).all(axis=0)
-            found[np.flatnonzero(mine)[held]] = True
-            if held.any():
-                filled = (off[:, held] - EVALUATION) / np.maximum(claimed, 1e-300)
-                seen.filled = max(seen.filled, float(filled.max()))
-        missing = going & ~found & ~given_up
-        assert not missing.any(), (step, starts[missing][:3], states[:, missing][:, :3])
+            found = _found(seen, rows, x, states, trace["frame"][:, step])
+            missing = going & ~found & ~excused
+            assert not missing.any(), (step, starts[missing][:3], states[:, missing][:, :3])
         seen.found += int(found.sum())
-        seen.given_up = float(given_up.mean())
-    if rows is not None and len(rows):
-        proved = ~given_up
-        seen.rows, seen.least = len(rows), float(rows.least.min())
-        if proved.any():
-            seen.margin = float(runs.margin[proved].min())
+        seen.frames |= set(trace["frame"][found, step].tolist())
+    open_now = np.zeros(len(x), dtype=bool)
+    for low, high in zip(proof.low, proof.high, strict=True):
+        open_now |= (x >= low) & (x <= high)
+    seen.given_up = float(open_now.mean())
+    if not open_now.all():
+        seen.margin = float(runs.margin[~open_now].min())
     return seen
+
+
+def _found(
+    seen: Seen, parts: list[Rows], x: np.ndarray, states: np.ndarray, frames: np.ndarray
+) -> np.ndarray:
+    """Tell which states ``[4, runs]`` lie in a row; x: ``[runs]``, their start positions."""
+    found = np.zeros(len(x), dtype=bool)
+    if not any(map(len, parts)):
+        return found
+    rows = join(parts)
+    seen.gathered = max(seen.gathered, int(rows.gathered.sum()))
+    seen.divided = max(seen.divided, int(rows.splits.max()))
+    for row in range(len(rows)):
+        state, gathered = rows.state[:, row], bool(rows.gathered[row])
+        width, centre = rows.high[row] - rows.low[row], rows.high[row] + rows.low[row]
+        places = (2 * x - centre) / max(width, 1e-300)
+        mine = ~found & (np.abs(places) <= 1 + 1e-9) & (frames == rows.frame[row])
+        some = np.flatnonzero(mine)
+        if not some.size:
+            continue
+        hints = None if gathered else np.clip(places[some], -1, 1)
+        held, off = inside(state, states[:, some], hints, EVALUATION)
+        found[some[held]] = True
+        if held.any() and not gathered:
+            claimed = error_spread(state)[:, None]
+            filled = (off[:, held] - EVALUATION) / np.maximum(claimed, 1e-300)
+            seen.filled = max(seen.filled, float(filled.max()))
+    return found
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """Noise ``[steps, rays, runs]`` and missing rays ``[(steps,) rays, runs]`` of runs."""
+
+    noise: np.ndarray | None
+    gone: np.ndarray | None
+
+    def of(self, problem: Problem) -> GivenFaults:
+        """Return them as the simulation takes them."""
+        assert problem.disturbance is not None
+        return GivenFaults(
+            problem.plant.track.width,
+            problem.plant.lidar.range,
+            self.gone,
+            problem.disturbance.turn_only,
+            self.noise,
+        )
+
+
+def disturbances(
+    random: np.random.Generator, problem: Problem, count: int, mask: np.ndarray | None = None
+) -> Disturbances:
+    """Return members of the problem's set: at random, all to one side, and changing sides.
+
+    mask: the rays that are missing, ``[rays]``, if the choice is made once for a run.
+    """
+    given, rays, steps = problem.disturbance, problem.plant.lidar.rays, problem.steps
+    assert given is not None
+    noise = random.uniform(-1, 1, (steps, rays, count))
+    # All readings of a side of the car too long or too short, for several steps at once: that
+    # pushes hardest.
+    side = np.sign(problem.plant.lidar.angles)[:, None]
+    for run in range(count):
+        kind = run % 4
+        if kind == 1:
+            noise[..., run] = random.choice([-1.0, 1.0], (steps, rays))
+        elif kind > 1:
+            change = np.repeat(random.choice([-1.0, 1.0], steps), 6)[:steps]
+            pushed = np.ones(steps) * random.choice([-1.0, 1.0]) if kind == 2 else change
+            noise[..., run] = pushed[:, None] * side[:, 0]
+    gone = None
+    if given.missing and given.choice == "run":
+        assert mask is not None
+        gone = np.repeat(mask[:, None], count, axis=1)
+    elif given.missing:
+        gone = np.zeros((steps, rays, count), dtype=bool)
+        for step in range(steps):
+            for run in range(count):
+                how_many = random.integers(given.missing + 1) if run % 2 else given.missing
+                gone[step, random.choice(rays, how_many, replace=False), run] = True
+    return Disturbances(given.noise * noise if given.noise else None, gone)

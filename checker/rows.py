@@ -1,0 +1,162 @@
+"""What is proved of each row: its parts, its image, its clearance."""
+
+from __future__ import annotations
+
+from flint import arb
+
+from checker.files import Certificate, GuardKind, Instance, Kind, Rejected, Row, Unreadable, require
+from checker.forest import WIDER, Assumed, Forest
+from checker.inclusion import models_of, prove_gathered, prove_image, prove_part, state_of
+from checker.models import ONE, Model, bound, halves, line, negative, plus, positive, restrict
+from checker.step import Network, Path, Sensors, View, steering
+
+
+class Checker:
+    """Checks a certificate of an instance: ``check_all`` and then ``check_row`` of every row."""
+
+    def __init__(self, cert: Certificate, instance: Instance) -> None:
+        try:
+            self.plant, self.unsafe = instance.data["plant"], instance.data["property"]["unsafe"]
+            self.frames = self.plant["frames"]
+            self.sensors, self.network = Sensors(instance.data), Network(instance.layers)
+            self.forest = Forest(cert, instance)
+            self._check_instance()
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise Unreadable(f"the instance lacks something or has it wrong: {error}") from None
+        self.rows, self.margin = cert.rows, arb(cert.margin)
+        # All but the last three symbols mean the same from row to row.
+        self.carried = max(cert.symbols - 3, 0)
+        require(cert.instance_sha256 == instance.sha256, "it is of another instance")
+        require(cert.weights_sha256 == instance.weights_sha256, "of another network")
+        require(self.margin > 0, "the claimed margin is not positive")
+
+    def _check_instance(self) -> None:
+        for frame in self.frames:
+            advance = frame["advance"]
+            if advance is not None and abs(abs(float(advance["rotation"])) * 2 - 3.141592653589793):
+                raise ValueError("a frame's rotation is not a quarter turn")
+        ordered = all(low <= high for low, high in self.forest.box)
+        if len(self.unsafe) != len(self.frames) or not ordered:
+            raise ValueError("frames, unsafe sets or initial set do not fit together")
+        if not (self.sensors.noise >= 0 and self.sensors.missing >= 0):
+            raise ValueError("a disturbance is negative")
+        if self.network.rays != self.sensors.rays.count:
+            raise ValueError("the network reads another number of rays")
+
+    def check_all(self) -> None:
+        """Prove what takes little time: the rules that concern rows together."""
+        self.forest.check()
+
+    def check_row(self, i: int) -> None:
+        """Prove that what follows a row contains all that may become of it, safely."""
+        row, children = self.rows[i], self.forest.children[i]
+        try:
+            if row.into >= 0:
+                prove_gathered(models_of(row, apart=True), self.rows[row.into])
+            elif children and self.rows[children[0]].kind == Kind.IMAGE:
+                self._check_step(i, self.rows[children[0]])
+            elif children:
+                self._check_parts(row, [self.rows[c] for c in children])
+        except (Rejected, ArithmeticError, ValueError) as error:  # whatever is not proved
+            raise Rejected(f"row {i}: {error}") from None
+
+    # --- parts -----------------------------------------------------------------------------
+
+    def _check_parts(self, row: Row, children: list[Row]) -> None:
+        state = models_of(row, apart=True)
+        for c in children:
+            _prove_piece(self._advanced(state, row) if c.kind == Kind.ADVANCE else state, c)
+        if children[0].guard >= 0:
+            self._check_guards(row, children)
+
+    def _advanced(self, state: list[Model], row: Row) -> list[Model]:
+        """Return a state in the next hall's frame."""
+        change, (s, f, v, theta) = self.frames[row.frame]["advance"], state
+        (a, b), (c, d) = change["matrix"]
+        p, q = change["offset"]
+        quarter = arb.pi() / 2 if change["rotation"] > 0 else -arb.pi() / 2
+        return [line((a, b, -p), s, f), line((c, d, -q), s, f), v, plus(theta, quarter)]
+
+    def _advance_value(self, state: list[Model], row: Row) -> Model:
+        return line(self.frames[row.frame]["advance"]["guard"], state[0], state[1])
+
+    def _view(self, row: Row, state: list[Model], assumed: Assumed) -> View:
+        return View(self.sensors.rays, self.frames[row.frame]["obstacles"], state, assumed.crosses)
+
+    def _guard_values(self, row: Row, index: int) -> list[Model]:
+        """Return models of which a guard is the least."""
+        guard, state = self.forest.guards[index], state_of(row)
+        if guard.kind == GuardKind.ADVANCE:
+            return [self._advance_value(state, row)]
+        if guard.kind == GuardKind.TURN:
+            return self.sensors.turn(state)
+        front, back = ((guard.obstacle, k) for k in (guard.front, guard.back))
+        view = self._view(row, state, Assumed())
+        return [view.along(view.cross(front, back), guard.ray)]
+
+    def _check_guards(self, row: Row, children: list[Row]) -> None:
+        """Prove that outside of each sign's part the guard has the other sign."""
+        guards = self.forest.guards
+        values = self._guard_values(row, children[0].guard)
+        pieces = {guards[c.guard].positive: c.piece.tolist() for c in children}
+        for sign, word in ((True, "positive"), (False, "negative")):
+            outside = [(0, -ONE, ONE)]
+            if sign in pieces:
+                outside = [(k, -ONE, arb(a)) for k, (a, _) in enumerate(pieces[sign]) if a > -1]
+                outside += [(k, arb(b), ONE) for k, (_, b) in enumerate(pieces[sign]) if b < 1]
+            for part in outside:
+                proved = _has_sign([restrict(z, *part) for z in values], not sign)
+                require(proved, f"its guard may be {word} outside of the part that assumes it")
+
+    # --- steps -----------------------------------------------------------------------------
+
+    def settled(self, i: int) -> bool:
+        """Tell whether the members of a row are in the frame in which they drive."""
+        row, assumed = self.rows[i], self.forest.assumptions(i)
+        if self.frames[row.frame]["advance"] is None or row.step == 0 or assumed.settled:
+            return True
+        value = self._advance_value(state_of(row), row)
+        if bound(value) <= 0 or positive(negative(value)):
+            return True
+        gathered = self.rows[assumed.origin].kind == Kind.GATHERED
+        return gathered and all(map(self.settled, self.forest.sources[assumed.origin]))
+
+    def _check_step(self, i: int, image: Row) -> None:
+        """Prove clearance and image of one period."""
+        row, assumed = self.rows[i], self.forest.assumptions(i)
+        require(self.settled(i), "it may have to change its frame before it drives")
+        state = state_of(row)
+        case = self.forest.missing[row.case].nonzero()[0].tolist()
+        active = self.sensors.active(state, assumed.turn) if case else (False, True)
+        view = self._view(row, state, assumed)
+        path = Path(self.plant, state, steering(self.network, self.sensors, view, case, active))
+        for polygon in self.unsafe[row.frame]:
+            path.clear(polygon, self.margin)
+        prove_image(path.end, image, self.carried)
+
+
+def _prove_piece(state: list[Model], part: Row) -> None:
+    """Prove that a row contains its piece of a state."""
+    inner = outer = state
+    for k, (a, b) in enumerate(part.piece.tolist()):
+        low, high = arb(a), arb(b)
+        inner = [restrict(z, k, low, high) for z in inner]
+        more = (high - low) / 2 * (WIDER[0] - 1) + WIDER[1]
+        if (a, b) != (-1.0, 1.0):
+            outer = [restrict(z, k, low - more, high + more) for z in outer]
+    try:
+        prove_part(outer, part)
+    except Rejected:
+        prove_part(inner, part)
+
+
+def _has_sign(values: list[Model], sign: bool, depth: int = 12) -> bool:
+    """Tell whether the least of some models is proved to be > 0 (sign), or < 0, everywhere."""
+    if sign:
+        return all(map(positive, values))
+    if any(positive(negative(z)) for z in values):
+        return True
+    if depth == 0 or len(values) == 1:
+        return False
+    parts = zip(*map(halves, values), strict=True)
+    return all(_has_sign(list(part), sign, depth - 1) for part in parts)

@@ -1,0 +1,401 @@
+"""Certificates that hold are accepted; whatever makes one untrue is noticed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from certified import Proof, changed, descendants, gathered, joined, taken
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from checker.files import Unreadable, read_certificate, read_instance
+from verifier.certificate import (
+    ADVANCE,
+    CROSS,
+    GATHERED,
+    IMAGE,
+    PART,
+    Certificate,
+    write_certificate,
+)
+
+SOME = settings(
+    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+ROWS = st.integers(0, 10**6)
+
+
+def pick(cert: Certificate, where: np.ndarray, number: int) -> int:
+    """Return one of the rows where something holds."""
+    found = np.flatnonzero(where)
+    assert found.size
+    return int(found[number % found.size])
+
+
+def around(cert: Certificate, row: int) -> list[int]:
+    """Return the row, its parent, and what follows from it in the same step."""
+    near = np.flatnonzero(descendants(cert, row) & (cert.step == cert.step[row]))
+    parent = int(cert.parent[row])
+    return [row, *([parent] if parent >= 0 else []), *near.tolist()]
+
+
+@pytest.mark.parametrize("name", ["turn", "drive", "missing", "heap"])
+def test_certificates_of_the_verifier_are_accepted(request, name):
+    proof = request.getfixturevalue(name)
+    rows = None if name in {"turn", "heap"} else list(range(0, len(proof.certificate), 7))
+    assert proof.fault(proof.certificate, rows) == ""
+
+
+def test_the_certificates_tampered_with_here_have_all_there_is(
+    turn: Proof, drive: Proof, missing: Proof, heap: Proof
+):
+    guards = turn.certificate.guard
+    assert (turn.certificate.guard_kind[guards[guards >= 0]] == CROSS).any()
+    assert set(drive.certificate.kind) >= {PART, IMAGE, ADVANCE}
+    assert len(missing.certificate.missing) == 22
+    assert (heap.certificate.into >= 0).sum() == 2
+
+
+@SOME
+@given(ROWS, st.integers(0, 3), st.sampled_from([-1.0, 1.0]))
+def test_a_shifted_row_is_noticed(drive: Proof, number, component, sign):
+    cert = drive.certificate
+    row = pick(cert, cert.kind != 0, number)
+    width = np.abs(cert.spread[row, component]).sum() + cert.radius[row, component]
+    centre = cert.centre[row].copy()
+    centre[component, 0] += sign * 4 * width
+    assert drive.fault(changed(cert, row, centre=centre), around(cert, row))
+
+
+@SOME
+@given(ROWS, st.integers(0, 5))
+def test_a_changed_coefficient_of_the_start_position_is_noticed(drive: Proof, number, order):
+    cert = drive.certificate
+    row = pick(cert, cert.kind != 0, number)
+    centre = cert.centre[row].copy()
+    centre[0, order] += 1e-3
+    assert drive.fault(changed(cert, row, centre=centre), around(cert, row))
+
+
+@SOME
+@given(ROWS)
+def test_a_shrunk_row_is_noticed(drive: Proof, number):
+    cert = drive.certificate
+    row = pick(cert, cert.kind == IMAGE, number)
+    less = changed(cert, row, spread=cert.spread[row] * 1e-3, radius=cert.radius[row] * 1e-3)
+    assert drive.fault(less, [int(cert.parent[row])])
+
+
+@SOME
+@given(ROWS)
+def test_a_narrowed_part_of_a_guard_is_noticed(turn: Proof, number):
+    cert = turn.certificate
+    cut = (cert.kind == PART) & (cert.guard >= 0)
+    cut &= (np.abs(cert.piece) != 1).any(axis=(1, 2))
+    row = pick(cert, cut, number)
+    piece = cert.piece[row].copy()
+    side = 0 if piece[0, 0] > -1 else 1
+    piece[0, side] += 0.05 if side == 0 else -0.05
+    assert turn.fault(changed(cert, row, piece=piece), [int(cert.parent[row])])
+
+
+@SOME
+@given(ROWS, st.sampled_from([(1.0, 1.0), (-1.0, -1.0), (-1.0, 0.99), (0.5, -0.5), (-1.0, 1.5)]))
+def test_a_piece_that_is_less_or_none_is_noticed(turn: Proof, number, ends):
+    cert = turn.certificate
+    row = pick(cert, cert.kind != 0, number)
+    piece = cert.piece[row].copy()
+    if tuple(piece[0]) == ends:
+        return
+    piece[0] = ends
+    narrower = ends[0] > cert.piece[row, 0, 0] or ends[1] < cert.piece[row, 0, 1]
+    fault = turn.fault(changed(cert, row, piece=piece), [int(cert.parent[row])])
+    assert fault or not (narrower or cert.kind[row] == IMAGE)
+
+
+@pytest.mark.parametrize("name", ["turn", "drive"])
+@SOME
+@given(ROWS)
+def test_a_part_left_out_is_noticed(request, name, number):
+    proof = request.getfixturevalue(name)
+    cert = proof.certificate
+    row = pick(cert, cert.kind == PART, number)
+    gone = descendants(cert, row)
+    gone[row] = True
+    left = taken(cert, np.flatnonzero(~gone))
+    parent = int(np.flatnonzero(np.flatnonzero(~gone) == cert.parent[row])[0])
+    assert proof.fault(left, [parent])
+
+
+@SOME
+@given(ROWS)
+def test_a_row_that_nothing_follows_is_noticed(drive: Proof, number):
+    cert = drive.certificate
+    row = pick(cert, cert.step < cert.step.max(), number)
+    left = taken(cert, np.flatnonzero(~descendants(cert, row)))
+    assert "nothing follows it" in drive.fault(left, [])
+
+
+@SOME
+@given(ROWS, st.data())
+def test_another_parent_is_noticed(drive: Proof, number, data):
+    cert = drive.certificate
+    row = pick(cert, cert.parent > 0, number)
+    other = data.draw(st.integers(-1, row - 1).filter(lambda p: p != cert.parent[row]))
+    rows = [int(cert.parent[row]), *([other] if other >= 0 else [])]
+    assert drive.fault(changed(cert, row, parent=other), rows)
+
+
+@SOME
+@given(ROWS, st.sampled_from(["step", "frame", "kind"]), st.integers(0, 3))
+def test_another_step_frame_or_kind_is_noticed(drive: Proof, number, name, value):
+    cert = drive.certificate
+    row = pick(cert, getattr(cert, name) != value, number)
+    assert drive.fault(changed(cert, row, **{name: value}), around(cert, row))
+
+
+@SOME
+@given(ROWS)
+def test_a_guard_taken_away_is_noticed(turn: Proof, number):
+    cert = turn.certificate
+    row = pick(cert, cert.guard >= 0, number)
+    assert turn.fault(changed(cert, row, guard=-1), around(cert, row))
+
+
+@SOME
+@given(ROWS, st.sampled_from(["positive", "ray", "obstacle", "front", "back", "guard_kind"]))
+def test_a_changed_guard_is_noticed(turn: Proof, number, name):
+    cert = turn.certificate
+    guard = int(cert.guard[pick(cert, cert.guard >= 0, number)])
+    old = getattr(cert, name)[guard]
+    value = not old if name == "positive" else (int(old) + 1) % 3
+    rows = [i for r in np.flatnonzero(cert.guard == guard) for i in around(cert, int(r))]
+    assert turn.fault(changed(cert, guard, **{name: value}), rows)
+
+
+@SOME
+@given(ROWS)
+def test_an_unfounded_elsewhere_is_noticed(drive: Proof, number):
+    cert = drive.certificate
+    row = pick(cert, cert.step < cert.step.max(), number)
+    assert drive.fault(changed(cert, row, elsewhere=True), [])
+    left = taken(cert, np.flatnonzero(~descendants(cert, row)))
+    index = int(np.flatnonzero(np.flatnonzero(~descendants(cert, row)) == row)[0])
+    assert "later roots" in drive.fault(changed(left, index, elsewhere=True), [])
+
+
+@SOME
+@given(ROWS)
+def test_what_lies_elsewhere_may_be_proved_by_later_roots_only(drive: Proof, number):
+    cert = drive.certificate
+    row = pick(cert, cert.step < cert.step.max(), number)
+    kept = np.flatnonzero(~descendants(cert, row))
+    index = int(np.flatnonzero(kept == row)[0])
+    given_up = changed(taken(cert, kept), index, elsewhere=True)
+    assert drive.fault(joined(given_up, cert), []) == ""
+    assert "later roots" in drive.fault(joined(cert, given_up), [])
+
+
+def test_a_root_that_is_too_small_is_noticed(drive: Proof):
+    cert = drive.certificate
+    for name, value in (("centre", 0.9), ("centre", 1.1)):
+        array = getattr(cert, name)[0].copy()
+        array[cert.lead, 1 if value < 1 else 0] *= value
+        assert drive.fault(changed(cert, 0, **{name: array}), [])
+
+
+def test_another_lead_component_is_noticed(drive: Proof):
+    for lead in (-1, 1, 2, 3, 4):
+        assert drive.fault(replace(drive.certificate, lead=lead), [])
+
+
+def test_a_larger_margin_is_noticed(turn: Proof):
+    assert "margin" in turn.fault(replace(turn.certificate, margin=turn.certificate.margin + 1e-4))
+    assert "margin" in turn.fault(replace(turn.certificate, margin=0.0), [])
+
+
+def test_a_missing_case_is_noticed(missing: Proof):
+    cert = missing.certificate
+    assert "case" in missing.fault(taken(cert, np.flatnonzero(cert.case != 5)), [])
+    masks = cert.missing.copy()
+    masks[3] = masks[4]
+    assert "case" in missing.fault(replace(cert, missing=masks), [])
+
+
+@SOME
+@given(ROWS)
+def test_another_case_is_noticed(missing: Proof, number):
+    cert = missing.certificate
+    row = pick(cert, cert.kind != 0, number)
+    other = (cert.case[row] + 1) % len(cert.missing)
+    assert missing.fault(changed(cert, row, case=other), around(cert, row))
+
+
+def test_the_rays_of_a_case_matter_to_the_image(missing: Proof):
+    cert = missing.certificate
+    order = np.roll(np.arange(len(cert.missing)), 1)
+    assert missing.fault(replace(cert, missing=cert.missing[order])) != ""
+
+
+def test_other_hashes_are_noticed(turn: Proof):
+    for name in ("instance_sha256", "weights_sha256"):
+        assert turn.fault(replace(turn.certificate, **{name: "0" * 64}), [])
+
+
+def test_another_instance_is_noticed(turn: Proof, tmp_path):
+    data = json.loads(turn.instance.read_text())
+    data["plant"]["frames"][0]["obstacles"][0][0][2] -= 0.01
+    (tmp_path / "i.json").write_text(json.dumps(data))
+    other = Proof(tmp_path / "i.json", turn.certificate, tmp_path)
+    assert "another instance" in other.fault(turn.certificate, [])
+
+
+def test_another_network_file_is_noticed(turn: Proof, tmp_path):
+    data = json.loads(turn.instance.read_text())
+    (tmp_path / "n.onnx").write_bytes(b"x")
+    data["controller"]["file"] = "n.onnx"
+    (tmp_path / "i.json").write_text(json.dumps(data))
+    with pytest.raises(Unreadable, match="sha256"):
+        read_instance(tmp_path / "i.json")
+
+
+def test_numbers_that_are_not_finite_or_radii_below_zero_are_noticed(turn: Proof):
+    cert = turn.certificate
+    assert "negative" in turn.fault(changed(cert, 3, radius=-1e-9), [])
+    write_certificate(changed(cert, 3, radius=np.inf), turn.folder / "inf.h5")
+    with pytest.raises(Unreadable, match="finite"):
+        read_certificate(turn.folder / "inf.h5")
+
+
+@pytest.mark.parametrize("direction", [0, 1, 2, 3])
+def test_a_smaller_gathered_row_is_noticed(heap: Proof, direction):
+    cert = heap.certificate
+    whole = int(np.flatnonzero(cert.kind == GATHERED)[0])
+    sources = np.flatnonzero(cert.into == whole).tolist()
+    assert heap.fault(cert, sources) == ""
+    centre, spread = cert.centre[whole].copy(), cert.spread[whole].copy()
+    column = centre[:, 1] if direction == 0 else spread[:, direction - 1, 0]
+    if np.abs(column).max() < 1e-9:
+        return  # the direction of the speed, which is known: the radius has room
+    column *= 0.9
+    less = changed(cert, whole, centre=centre, spread=spread)
+    assert "sticks out" in heap.fault(less, sources)
+
+
+@SOME
+@given(st.integers(0, 3), st.sampled_from([-1.0, 1.0]))
+def test_a_shifted_gathered_row_is_noticed(heap: Proof, component, sign):
+    cert = heap.certificate
+    whole = int(np.flatnonzero(cert.kind == GATHERED)[0])
+    sources = np.flatnonzero(cert.into == whole).tolist()
+    centre = cert.centre[whole].copy()
+    centre[component, 0] += sign * 1e-2
+    assert "sticks out" in heap.fault(changed(cert, whole, centre=centre), sources)
+
+
+def test_a_bent_gathered_row_is_noticed(heap: Proof):
+    cert = heap.certificate
+    whole = int(np.flatnonzero(cert.kind == GATHERED)[0])
+    centre, spread = cert.centre[whole].copy(), cert.spread[whole].copy()
+    centre[0, 2], spread[0, 0, 1] = 1e-9, 1e-9
+    for bent in ({"centre": centre}, {"spread": spread}):
+        sources = np.flatnonzero(cert.into == whole).tolist()
+        assert "bent" in heap.fault(changed(cert, whole, **bent), sources)
+
+
+def test_a_gathered_row_of_another_step_frame_case_or_kind_is_noticed(drive: Proof):
+    row = int(np.flatnonzero(drive.certificate.kind == IMAGE)[40])
+    kept = np.flatnonzero(~descendants(drive.certificate, row))
+    index = int(np.flatnonzero(kept == row)[0])
+    cert = gathered(taken(drive.certificate, kept), [index])
+    whole = len(cert) - 1
+    assert drive.fault(cert, []) == f"row {whole}: nothing follows it"
+    for name, value in (("step", cert.step[row] + 1), ("frame", 1), ("case", 1), ("kind", PART)):
+        fault = drive.fault(changed(cert, whole, **{name: value}), [])
+        assert fault.startswith((f"row {index}:", f"row {whole}: its step, frame or case"))
+    assert drive.fault(changed(cert, whole, parent=index), [])
+    assert "assumes" in drive.fault(changed(cert, whole, guard=0), [])
+
+
+def test_a_row_that_goes_elsewhere_than_into_a_later_gathered_row_is_noticed(drive: Proof):
+    last = np.flatnonzero(drive.certificate.step == drive.certificate.step.max()).tolist()
+    cert = gathered(drive.certificate, last)
+    whole = len(cert) - 1
+    assert drive.fault(cert, last) == ""
+    row = last[0]
+    for into in (row, row - 1, 0, last[-1] if last[-1] != row else 1, whole + 1):
+        assert drive.fault(changed(cert, row, into=into), [])
+    # What goes into a gathered row ends there.
+    inside = int(np.flatnonzero(cert.step == 3)[0])
+    both = changed(changed(cert, whole, step=3, frame=cert.frame[inside]), inside, into=whole)
+    both = changed(both, np.array(last), into=-1)
+    assert "rows follow where none should" in drive.fault(both, [])
+
+
+def test_a_source_left_out_is_noticed(heap: Proof):
+    cert = heap.certificate
+    sources = np.flatnonzero(cert.into >= 0)
+    for row in sources.tolist():
+        assert "nothing follows it" in heap.fault(changed(cert, row, into=-1), [])
+        left = taken(cert, np.flatnonzero(np.arange(len(cert)) != row))
+        assert heap.fault(left, [])
+    # Without what follows the gathered row its sources lead nowhere.
+    whole = int(cert.into[sources[0]])
+    left = taken(cert, np.flatnonzero(~descendants(cert, whole)))
+    assert "nothing follows it" in heap.fault(left, [])
+
+
+def test_below_a_gathered_row_nothing_lies_elsewhere(drive: Proof):
+    row = int(np.flatnonzero(drive.certificate.kind == IMAGE)[40])
+    kept = np.flatnonzero(~descendants(drive.certificate, row))
+    index = int(np.flatnonzero(kept == row)[0])
+    cert = gathered(taken(drive.certificate, kept), [index])
+    cert = joined(changed(cert, len(cert) - 1, elsewhere=True), drive.certificate)
+    assert "in no root" in drive.fault(cert, [])
+
+
+def test_a_gathered_row_is_in_its_frame_if_what_goes_into_it_is(drive: Proof):
+    cert = drive.certificate
+    beyond = int(np.flatnonzero(cert.kind == ADVANCE)[0])
+    before = int(cert.parent[beyond])
+    for row, settled in ((beyond, True), (before, False)):
+        more = gathered(cert, [row])
+        whole = len(more) - 1
+        # A wide box: it reaches across both lines.
+        more = changed(more, whole, radius=np.full(4, 30.0))
+        checker = drive.checker(more)
+        assert checker.settled(whole) == settled
+        assert checker.settled(row) == settled
+
+
+def test_a_gathered_row_does_not_change_its_frame_once_more(drive: Proof):
+    cert = drive.certificate
+    before = int(cert.parent[np.flatnonzero(cert.kind == ADVANCE)[0]])
+    children = np.flatnonzero(cert.parent == before)
+    kept = np.flatnonzero(~descendants(cert, before))
+    more = gathered(taken(cert, kept), [int(np.flatnonzero(kept == before)[0])])
+    below = taken(cert, children)
+    below = changed(below, np.arange(len(below)), parent=-1)
+    whole, count = len(more) - 1, len(more)
+    both = joined(more, below)
+    both = changed(both, np.arange(count, len(both)), parent=whole)
+    assert f"row {whole}: no frame is due to change" in drive.fault(both, [])
+
+
+def test_a_row_at_the_end_may_be_wider(turn: Proof):
+    cert = turn.certificate
+    row = int(np.flatnonzero(cert.step == cert.step.max())[0])
+    wider = changed(cert, row, radius=cert.radius[row] * 2 + 1e-9)
+    assert turn.fault(wider, around(cert, row)) == ""
+
+
+def test_files_cut_short_are_unreadable(turn: Proof, tmp_path):
+    write_certificate(turn.certificate, tmp_path / "c.h5")
+    content = (tmp_path / "c.h5").read_bytes()
+    for size in (0, 100, len(content) // 2):
+        (tmp_path / "c.h5").write_bytes(content[:size])
+        with pytest.raises(Unreadable):
+            read_certificate(tmp_path / "c.h5")

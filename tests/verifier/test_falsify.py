@@ -1,0 +1,433 @@
+"""Falsification finds the worst run where it is known, and states it as the harness reads it."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from enclosed import TRACKS, problem_of, zero_controller
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from instances import everywhere, save
+from whole_runs import random_controller
+
+from harness.records import WitnessOutcome
+from harness.replay import check_witness
+from racecar.closed_loop import State, simulate
+from racecar.controller import Controller, Layer, RuntimeSteer
+from racecar.disturbance import Disturbance
+from racecar.faults import GivenFaults
+from racecar.instance import load_instance
+from racecar.lidar import Lidar
+from verifier.attack import steering_gradient, strongest_missing
+from verifier.evolution import Evolution
+from verifier.falsify import Worst, confirmed, worst_start
+from verifier.problem import Problem, load_problem
+from verifier.starts import spread
+from verifier.tree import different
+
+ROOT = Path(__file__).parents[2]
+RAYS, MIDDLE = 21, 10
+
+
+def linear(weights: dict[int, float], bias: float = 0.0) -> Controller:
+    """Steer linearly in some readings."""
+    row = np.zeros((1, RAYS), np.float32)
+    for ray, weight in weights.items():
+        row[0, ray] = weight
+    return Controller((Layer(row, np.array([bias], np.float32), "linear"),))
+
+
+def disturbance(noise=0.0, missing=0, turn_only=False, choice="run") -> Disturbance:
+    return Disturbance(noise=noise, missing=missing, turn_only=turn_only, choice=choice)
+
+
+def problem(controller: Controller, lower: list[float], upper: list[float], **extra) -> Problem:
+    given_extra = {"steps": 10} | extra
+    return problem_of(
+        TRACKS["square"],
+        Lidar(controller.rays),
+        controller,
+        lower=np.array(lower),
+        upper=np.array(upper),
+        **given_extra,
+    )
+
+
+def search(question: Problem, seed: int = 0, **options) -> Worst:
+    steer = RuntimeSteer(question.controller)
+    return worst_start(question, steer, question.lower, question.upper, seed, **options)
+
+
+def replayed(question: Problem, worst: Worst, folder: Path):
+    """Judge a witness as the harness does; return its check."""
+    path = save(replace(question, disturbance=None), folder)
+    data = json.loads(path.read_text())
+    if question.disturbance is not None:
+        data["disturbance"] = question.disturbance.model_dump()
+    path.write_text(json.dumps(data))
+    return check_witness(load_instance(path), path, json.dumps(worst.witness()).encode())
+
+
+def driven(v: float, time: float) -> float:
+    """Return how far the car gets: v' = -1.633 (v - 2.4)."""
+    return 2.4 * time - (v - 2.4) * math.expm1(-1.633 * time) / 1.633
+
+
+# --- Starts ------------------------------------------------------------------------------
+
+
+def test_a_gap_in_one_dimension_is_found_however_small():
+    """Straight ahead; unsafe is a strip of 20 um, between the points of a grid of 0.4 mm."""
+    question = problem(zero_controller(RAYS), [0.65, 9.9, 0, 0], [0.85, 9.9, 0, 0])
+    strip = [[-1.0, 0.0, -0.71231], [1.0, 0.0, 0.71233]]
+    question = replace(question, safety=everywhere("strip", question.plant.track, strip))
+    worst = search(question)
+    assert 0.71231 <= worst.start[0] <= 0.71233
+    assert worst.margin <= 0
+    assert confirmed(question, RuntimeSteer(question.controller), worst)
+
+
+def test_the_worst_corner_of_a_box_is_found():
+    """Straight ahead at an angle: the left wall is nearest for a corner, after the last step."""
+    lower, upper = [0.6, 9.8, 0.5, -0.1], [0.7, 9.9, 1.0, 0.1]
+    question = problem(zero_controller(RAYS), lower, upper)
+    expected = 0.6 - driven(1.0, 1.0) * math.sin(0.1) - 0.3
+    worst = search(question)
+    assert worst.margin == pytest.approx(expected, abs=1e-4)
+    assert worst.margin >= expected - 1e-12
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_unsafe_place_inside_a_box_of_four_dimensions_is_found(seed):
+    """A post of 4 mm on the way of few starts: s, theta and the place must fit together."""
+    lower, upper = [0.6, 9.7, 0.0, -0.2], [0.9, 9.9, 2.0, 0.2]
+    question = problem(zero_controller(RAYS), lower, upper)
+    s, f = 0.9, 9.0
+    post = [[-1.0, 0.0, 0.002 - s], [1.0, 0.0, s + 0.002], [0.0, -1.0, 0.002 - f], [0.0, 1.0, f]]
+    question = replace(question, safety=everywhere("post", question.plant.track, post))
+    worst = search(question, seed)
+    assert worst.margin <= 0
+    # Its straight line passes the post.
+    aside = worst.start[0] - (worst.start[1] - f) * math.tan(worst.start[3]) - s
+    assert abs(aside) <= 0.003
+
+
+def test_a_point_is_simulated_as_it_is():
+    question = problem(zero_controller(RAYS), [0.7, 9.9, 0, 0], [0.7, 9.9, 0, 0])
+    worst = search(question)
+    assert worst.start.tolist() == [0.7, 9.9, 0, 0]
+    assert worst.margin == pytest.approx(0.4, abs=1e-12)
+    assert worst.witness() == {"s": 0.7, "f": 9.9, "v": 0.0, "theta": 0.0}
+
+
+@given(
+    lower=st.lists(st.floats(-1, 1), min_size=4, max_size=4),
+    width=st.lists(st.sampled_from([0.0, 1e-300, 1e-9, 0.3]), min_size=4, max_size=4),
+    count=st.integers(1, 70),
+    seed=st.integers(0, 99),
+)
+def test_starts_are_spread_within_the_box_exactly(lower, width, count, seed):
+    low = np.array(lower)
+    high = low + np.array(width)
+    starts = spread(low, high, count, np.random.default_rng(seed))
+    assert len(starts) == count
+    assert np.all((starts >= low) & (starts <= high))
+
+
+def test_evolution_finds_the_least_of_a_narrow_valley():
+    """Rosenbrock's function of three numbers, its least at 0.6 in each."""
+    random = np.random.default_rng(0)
+
+    def value(x: np.ndarray) -> np.ndarray:
+        y = 1 + 2 * (x - 0.6)
+        return np.sum(100 * (y[:, 1:] - y[:, :-1] ** 2) ** 2 + (1 - y[:, :-1]) ** 2, axis=1)
+
+    evolution = Evolution(np.array([0.1, 0.9, 0.2]), 0.2, 16, random)
+    for _ in range(300):
+        points = evolution.ask()
+        assert np.all((points >= 0) & (points <= 1))
+        evolution.tell(points, value(points))
+    assert np.abs(evolution.ask() - 0.6).max() < 1e-3
+
+
+# --- Disturbances ------------------------------------------------------------------------
+
+
+def test_the_worst_noise_is_found_where_it_is_known():
+    """The middle ray reads its range, 5 m; noise below 0 turns the car right, above 0 not at all.
+
+    So the worst is a circle to the right with all of the noise, and the left wall of the block
+    (s >= 1.2) comes nearest at its end.
+    """
+    question = problem(
+        linear({MIDDLE: 2.0}, -10.0),
+        [0.7, 9.9, 1.0, 0.0],
+        [0.7, 9.9, 1.0, 0.0],
+        disturbance=disturbance(noise=0.02),
+    )
+    curvature = math.tan(-0.04) / 0.45
+    turned = curvature * driven(1.0, 1.0)
+    expected = 1.2 - (0.7 + (math.cos(turned) - 1) / curvature)
+    worst = search(question)
+    assert worst.margin == pytest.approx(expected, abs=1e-6)
+    assert worst.noise is not None
+    assert np.all(worst.noise[:, MIDDLE] == -0.02)
+
+
+@pytest.mark.parametrize("ray", [3, 17])
+def test_the_ray_whose_loss_is_worst_is_found(ray, tmp_path):
+    """Only one ray of those that see a wall decides; if it is missing, the car turns left."""
+    question = problem(
+        linear({ray: 0.02, MIDDLE: 0.3}, -1.5),
+        [0.7, 9.9, 2.0, 0.0],
+        [0.72, 9.9, 2.0, 0.0],
+        disturbance=disturbance(missing=1),
+        steps=15,
+    )
+    worst = search(question)
+    assert worst.missing is not None
+    assert np.flatnonzero(worst.missing).tolist() == [ray]
+    assert worst.witness()["missing"] == [ray]
+    assert replayed(question, worst, tmp_path).margin == worst.margin
+
+
+def every_choice(question: Problem, start: np.ndarray) -> float:
+    """Return the least margin from one start over each single missing ray and none."""
+    plant, rays = question.plant, question.plant.lidar.rays
+    gone = np.concatenate([np.zeros((rays, 1), dtype=bool), np.eye(rays, dtype=bool)], axis=1)
+    faults = GivenFaults(plant.track.width, plant.lidar.range, gone, question.disturbance.turn_only)
+    state = State.start(*np.repeat(start[:, None], rays + 1, axis=1))
+    steer = question.controller.steering_rows
+    return simulate(plant, steer, question.safety, state, question.steps, faults).margin.min()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("choice", ["run", "step"])
+def test_no_single_missing_ray_is_worse_than_what_is_found(seed, choice):
+    random = np.random.default_rng(seed)
+    question = problem(
+        random_controller(random, 9, "tanh"),
+        [0.75, 5.0, 2.0, 0.0],
+        [0.75, 5.0, 2.0, 0.0],
+        disturbance=disturbance(missing=1, choice=choice, turn_only=seed % 2 == 1),
+        steps=12,
+    )
+    brute = every_choice(question, question.lower)
+    assert search(question).margin <= max(brute, 0.0) + 1e-6
+
+
+def test_rays_that_change_from_step_to_step_can_do_more():
+    """One ray turns the car left if it is missing, another one right.
+
+    Unsafe is a post where the car gets by a swerve, one way, then the other: no single missing
+    ray leads there.
+    """
+    steps, left, right = 14, 4, 16
+    point = [0.75, 9.9, 2.0, 0.0]
+    question = problem(linear({left: 0.015, right: -0.015}), point, point, steps=steps)
+    plant, steer = question.plant, question.controller.steering_rows
+    swerve = np.zeros((steps, RAYS, 1), dtype=bool)
+    swerve[: steps // 2, right] = swerve[steps // 2 :, left] = True
+    faults = GivenFaults(plant.track.width, plant.lidar.range, swerve, turn_only=False)
+    trace = simulate(
+        plant, steer, question.safety, State.start(*question.lower), steps, faults, record=True
+    ).trace
+    s, f, half = float(trace["s"][0, -1]), float(trace["f"][0, -1]), 0.015
+    post = [
+        [-1.0, 0.0, half - s], [1.0, 0.0, s + half], [0.0, -1.0, half - f], [0.0, 1.0, f + half],
+    ]  # fmt: skip
+    question = replace(
+        question,
+        safety=everywhere("post", plant.track, post),
+        disturbance=disturbance(missing=1, choice="step"),
+    )
+    assert every_choice(question, question.lower) > 0
+    worst = search(question)
+    assert worst.margin <= 0
+    assert worst.missing is not None
+    assert len({tuple(row) for row in worst.witness()["missing"]}) > 1
+
+
+@settings(max_examples=12)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    noise=st.sampled_from([0.0, 0.002, 0.3]),
+    missing=st.integers(0, 3),
+    turn_only=st.booleans(),
+    choice=st.sampled_from(["run", "step"]),
+    activation=st.sampled_from(["tanh", "relu", "sigmoid"]),
+    place=st.sampled_from([(2.4, 2.3), (1.5, 6.0), (0.0, 9.9)]),
+)
+def test_what_is_found_is_allowed_and_replayed_to_the_same_margin(
+    tmp_path_factory, seed, noise, missing, turn_only, choice, activation, place
+):
+    if not noise and not missing:
+        return
+    random = np.random.default_rng(seed)
+    v, f = place
+    question = problem(
+        random_controller(random, 9, activation, 2.0),
+        [0.7, f, v, -0.1],
+        [0.8, f, v, 0.1],
+        disturbance=disturbance(noise, missing, turn_only, choice),
+        steps=9,
+    )
+    worst = search(question, runs=600)
+    found = replayed(question, worst, tmp_path_factory.mktemp("found"))
+    assert found.outside == 0
+    assert found.margin == worst.margin
+    unsafe = worst.margin <= 0
+    assert (found.outcome is WitnessOutcome.CORRECT) == unsafe
+    assert confirmed(question, RuntimeSteer(question.controller), worst) == unsafe
+
+
+def test_noise_of_a_centimetre_drives_a_trained_controller_into_the_corner(tmp_path):
+    """Undisturbed it keeps 2 cm more than it must; random noise hardly changes that."""
+    path = ROOT / "benchmarks/full_range/json/TD3_L21_64x64_C1.full_range.clearance.json"
+    question = replace(load_problem(path)[1], disturbance=disturbance(noise=0.01))
+    plant = question.plant
+    starts = spread(question.lower, question.upper, 200, np.random.default_rng(0))
+    noise = np.random.default_rng(0).choice([-0.01, 0.01], (70, RAYS, 200))
+    by_chance = simulate(
+        plant,
+        question.controller.steering_rows,
+        question.safety,
+        State.start(*starts.T),
+        70,
+        GivenFaults(plant.track.width, plant.lidar.range, noise=noise),
+    ).margin
+    assert by_chance.min() > 0.01
+    worst = search(question)
+    assert worst.margin <= 0
+    assert replayed(question, worst, tmp_path).outcome is WitnessOutcome.CORRECT
+
+
+@pytest.mark.parametrize("given_disturbance", [None, disturbance(0.01, 1, choice="step")])
+def test_the_same_seed_finds_the_same(given_disturbance):
+    question = problem(
+        random_controller(np.random.default_rng(5), 9, "tanh"),
+        [0.7, 5.0, 1.0, 0.0],
+        [0.8, 5.1, 1.0, 0.0],
+        disturbance=given_disturbance,
+    )
+    one, two = (search(question, seed=3, runs=1500).witness() for _ in range(2))
+    assert one == two
+
+
+def test_a_network_that_answers_nan_is_not_unsafe():
+    broken = linear({MIDDLE - 1: 3e38, MIDDLE: -3e38})  # infinity less infinity
+    for given_disturbance in (None, disturbance(0.01, 1)):
+        question = problem(
+            broken, [0.7, 5.0, 1.0, 0.0], [0.8, 5.1, 1.0, 0.0], disturbance=given_disturbance
+        )
+        worst = search(question, runs=800)
+        assert worst.margin > 0
+        assert not confirmed(question, RuntimeSteer(broken), worst)
+
+
+def test_the_search_keeps_to_its_time():
+    question = problem(
+        random_controller(np.random.default_rng(1), 21, "tanh"),
+        [0.7, 9.9, 0.0, 0.0],
+        [0.8, 9.9, 0.0, 0.0],
+        disturbance=disturbance(0.001),
+    )
+    began = time.monotonic()
+    search(question, runs=10**9, seconds=1.0)
+    assert time.monotonic() - began < 5
+
+
+# --- What the search is made of ----------------------------------------------------------
+
+
+@given(seed=st.integers(0, 2**32 - 1), activation=st.sampled_from(["tanh", "sigmoid", "relu"]))
+def test_the_gradient_is_that_of_the_steering(seed, activation):
+    random = np.random.default_rng(seed)
+    controller = random_controller(random, 5, activation)
+    scan = random.uniform(0, 5, (5, 3))
+    found = steering_gradient(controller, scan)
+    step = 1e-5
+    for ray in range(5):
+        change = np.zeros((5, 1))
+        change[ray] = step
+        high = controller.steering_rows(scan + change)
+        low, middle = controller.steering_rows(scan - change), controller.steering_rows(scan)
+        smooth = np.abs(high - 2 * middle + low) < 1e-9  # no kink of a relu in between
+        slope = (high - low) / (2 * step)
+        assert np.allclose(found[ray][smooth], slope[smooth], atol=2e-4)
+
+
+@given(seed=st.integers(0, 2**32 - 1), side=st.sampled_from([-1.0, 1.0]), most=st.integers(1, 3))
+def test_the_strongest_missing_rays_are_found_one_after_the_other(seed, side, most):
+    random = np.random.default_rng(seed)
+    controller = random_controller(random, 6, "tanh")
+    scan = random.uniform(0, 5, (6, 4))
+    found = strongest_missing(controller, scan, np.full(4, side), most, 5.0)
+    for car in range(4):
+        chosen, current = set(), scan[:, car].copy()
+        for _ in range(most):
+            gains = []
+            for ray in range(6):
+                tried = current.copy()
+                tried[ray] = 5.0
+                both = np.stack([current, tried], axis=1)
+                before, after = controller.steering_rows(both)
+                gains.append(side * (after - before))
+            best = int(np.argmax(gains))
+            if gains[best] < 1e-5:  # float32 decides
+                break
+            chosen.add(best)
+            current[best] = 5.0
+        own = set(np.flatnonzero(found[:, car]).tolist())
+        assert (
+            chosen <= own
+            or gain_of(controller, scan[:, car], own, side)
+            >= gain_of(controller, scan[:, car], chosen, side) - 1e-4
+        )
+
+
+def gain_of(controller: Controller, scan: np.ndarray, gone: set[int], side: float) -> float:
+    """Return how far missing rays move the steering to a side."""
+    tried = scan.copy()
+    tried[list(gone)] = 5.0
+    before, after = controller.steering_rows(np.stack([scan, tried], axis=1))
+    return float(side * (after - before))
+
+
+def test_with_many_rays_the_strongest_is_among_those_tried():
+    random = np.random.default_rng(0)
+    weights = random.uniform(0, 0.01, (1, 300)).astype(np.float32)
+    weights[0, 123] = 0.5
+    controller = Controller((Layer(weights, np.zeros(1, np.float32), "tanh"),))
+    found = strongest_missing(controller, np.full((300, 2), 1.0), np.ones(2), 1, 5.0)
+    assert np.flatnonzero(found[:, 0]).tolist() == [123]
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1), count=st.integers(1, 400), most=st.integers(16, 200),
+    flat=st.booleans(),
+)  # fmt: skip
+def test_kept_states_are_different_and_the_extremes_are_among_them(seed, count, most, flat):
+    random = np.random.default_rng(seed)
+    x = random.normal(size=(4, count))
+    x[2] = 1.0
+    if flat:
+        x[3] = 2 * x[0]
+    state = State.start(x[0], x[1], x[2], x[3])
+    kept = different(state, most, random)
+    assert len(kept) == len(set(kept.tolist())) <= max(most, 8)
+    if count > most >= 100:
+        # Something of the outermost tenth is kept on each side of each axis.
+        for axis in (0, 1):
+            order = np.argsort(x[axis])
+            tenth = max(1, count // 10)
+            assert set(kept) & set(order[:tenth])
+            assert set(kept) & set(order[-tenth:])
+    if count <= most:
+        assert kept.tolist() == list(range(count))
