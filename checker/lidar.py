@@ -206,4 +206,4 @@ class View:
         for faces in self._near:
             if winner is None or faces[0][0] != winner[0]:
                 u = self._behind(u, faces, ray)
-        return models.reciprocal(u)
+        return models.inverse_from(u, 1 / self._rays.reach)

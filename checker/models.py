@@ -244,6 +244,24 @@ def reciprocal(z: Model) -> Model:
     return _apply(z, taylor)
 
 
+def inverse_from(z: Model, least: arb) -> Model:
+    """Return 1 / u, where u is a value of z of at least ``least`` (> 0): a series or a line.
+
+    On [a, b], 1 / u + k u with k = 1 / (a b) is convex, at least 2 sqrt(k), and largest at an end.
+    """
+    y = bound(z)
+    a = y.lower().max(least)
+    b = y.upper().max(a)
+    k = 1 / (a * b)
+    between = (2 * k.sqrt()).union((1 / a + k * a).max(1 / b + k * b))
+    line = plus(scale(z, -k), between)
+    try:
+        series = reciprocal(z)
+    except ArithmeticError:
+        return line
+    return series if abs(series[-1]).upper() <= abs(line[-1]).upper() else line
+
+
 def tan(z: Model) -> Model:
     """Return the tangent; ArithmeticError if z may be a right angle."""
     return _apply(z, lambda y, n: _riccati([y.tan()], 1, n))

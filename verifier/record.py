@@ -148,6 +148,8 @@ class Record:
         into = np.full(self._count, -1)
         for nodes, whole in self._into:
             into[nodes] = whole
+        arrays |= {"elsewhere": elsewhere, "into": into}
+        arrays = _pruned(arrays)
         guards = [_guard_columns(g) for g in self._guards]
         columns = np.array(guards, dtype=int).reshape(-1, 6).T
         return Certificate(
@@ -155,8 +157,6 @@ class Record:
             weights_sha256=weights_sha256,
             margin=margin,
             lead=self.lead,
-            elsewhere=elsewhere,
-            into=into,
             guard_kind=columns[0],
             ray=columns[1],
             obstacle=columns[2],
@@ -166,6 +166,34 @@ class Record:
             missing=missing,
             **arrays,
         )
+
+
+def _pruned(arrays: dict[str, Any]) -> dict[str, Any]:
+    """Return the rows without those all of whose ends are given up: the first of them is instead.
+
+    Their margins are no part of what is claimed.
+    """
+    parent, into = arrays["parent"], arrays["into"]
+    count = len(parent)
+    alive = np.zeros(count, dtype=bool)  # whether some end is proved
+    has_child = np.zeros(count, dtype=bool)
+    has_child[parent[parent >= 0]] = True
+    for i in range(count - 1, -1, -1):  # parents have smaller numbers
+        if into[i] >= 0:
+            alive[i] = alive[into[i]]
+        elif not has_child[i]:
+            alive[i] = not arrays["elsewhere"][i]
+        if alive[i] and parent[i] >= 0:
+            alive[parent[i]] = True
+    gone = ~alive & (parent >= 0) & ~alive[parent]
+    if (gone & (into >= 0)).any():  # gathered rows are never given up
+        return arrays
+    number = np.cumsum(~gone) - 1
+    kept = {name: values[~gone] for name, values in arrays.items()}
+    kept["elsewhere"] = ~alive[~gone]
+    for name in ("parent", "into"):
+        kept[name] = np.where(kept[name] < 0, -1, number[kept[name]])
+    return kept
 
 
 def _guard_columns(guard: Assumption) -> tuple[int, ...]:

@@ -19,7 +19,7 @@ from verifier.certificate import ADVANCE, GATHERED, IMAGE, PART, ROOT
 from verifier.disturbed import cases
 from verifier.pieces import Outcome, Piece, divided, merged, prove_piece, prove_pieces
 from verifier.problem import Box, Problem
-from verifier.record import Record, everything, joined
+from verifier.record import Part, Record, everything, joined
 from verifier.rows import Beyond, Decision, Inside, S
 
 SQUARE = TRACKS["square"]
@@ -232,19 +232,21 @@ def test_joined_records_keep_guards_and_gathered_rows_apart():
         record = Record(S)
         two = rows(2)
         two = replace(two, node=record.roots(two, *whole))
-        part = everything(2)
+        part, begun = everything(2), two
         two = replace(two, node=record.parts(two, 0, part, [guards[i] for i in order]))
         record.give_up(two.take(np.array([1])))
+        record.parts(begun, 0, part)
         record.gathered(two.take(np.array([0])), 4, rows(1))
         records.append(record)
     cert = joined(records).certificate("0" * 64, "0" * 64, 0.1, np.zeros((1, 5), dtype=bool))
-    assert cert.parent.tolist() == [-1, -1, 0, 1, -1, -1, -1, 5, 6, -1]
-    assert cert.into.tolist() == [-1, -1, 4, -1, -1, -1, -1, 9, -1, -1]
-    assert cert.elsewhere.tolist() == [False] * 3 + [True] + [False] * 4 + [True, False]
+    assert cert.parent.tolist() == [-1, -1, 0, 1, 0, 1, -1, -1, -1, 7, 8, 7, 8, -1]
+    assert np.flatnonzero(cert.into >= 0).tolist() == [2, 9]
+    assert cert.into[[2, 9]].tolist() == [6, 13]
+    assert np.flatnonzero(cert.elsewhere).tolist() == [3, 10]
     kinds = [int(cert.guard_kind[g]) if g >= 0 else -1 for g in cert.guard]
-    assert kinds == [-1, -1, 0, 2, -1, -1, -1, 1, 0, -1]  # cross 0, advance 1, turn 2
+    assert kinds == [-1, -1, 0, 2, *[-1] * 5, 1, 0, *[-1] * 3]  # cross 0, advance 1, turn 2
     cross = cert.guard[2]
-    assert cert.guard[8] == cross
+    assert cert.guard[10] == cross
     assert (cert.ray[cross], cert.obstacle[cross]) == (3, 0)
     assert (cert.front[cross], cert.back[cross], cert.positive[cross]) == (1, 2, True)
     assert not cert.positive[cert.guard[3]]
@@ -287,3 +289,22 @@ def test_too_many_choices_of_rays_are_said_so(monkeypatch):
         assert result.verdict in {"unknown", "sat"}
         if result.verdict == "unknown":
             assert "more choices" in result.note
+
+
+def test_what_came_to_nothing_is_given_up_where_it_began():
+    """Of a root's two halves one goes on; the other, and all that followed from it, is given up."""
+    record = Record(S)
+    rows = rows_of(random_models(np.random.default_rng(0), (4, 1), 0.1, 2, 0.1))
+    root = replace(rows, node=record.roots(rows, np.array([-1.0]), np.array([1.0])))
+    zero = np.zeros(1, dtype=np.intp)
+    low = replace(root, node=record.parts(root, 0, Part(zero, -np.ones(1), np.zeros(1))))
+    high = replace(root, node=record.parts(root, 0, Part(zero, np.zeros(1), np.ones(1))))
+    later = replace(low, node=record.images(low, 1))
+    for end in (-np.ones(1), np.zeros(1)):
+        half = replace(later, node=record.parts(later, 1, Part(zero, end, end + 1)))
+        record.give_up(half)
+    record.images(high, 1)
+    cert = record.certificate("0" * 64, "0" * 64, 0.1, np.zeros((1, 5), dtype=bool))
+    assert cert.parent.tolist() == [-1, 0, 0, 2]
+    assert cert.elsewhere.tolist() == [False, True, False, False]
+    assert cert.step.tolist() == [0, 0, 0, 1]

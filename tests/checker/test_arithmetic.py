@@ -105,6 +105,30 @@ def test_sums_products_and_multiples_contain_their_values(seed, size):
             assert filled(y, exact(p, q), x, e) <= 1
 
 
+@given(SEEDS, st.sampled_from([1.0, 0.1, 1e-3]))
+def test_readings_contain_their_values(seed, size):
+    """Of members below the least value 1 / u is that of the least value: a clipped reading."""
+    random = np.random.default_rng(seed)
+    z, least = some(random, 1.0, size), arb("0.2")
+    z = models.plus(z, arb(random.uniform(0.0, 2.0)))
+    y = models.inverse_from(z, least)
+    # The line holds for values of z from the least on; the rest of z is not asked about.
+    for x, e, rest in places(random):
+        u = member(z, x, e, rest)
+        if u >= least:
+            assert filled(y, 1 / u, x, e) <= 1
+
+
+def test_a_line_is_the_tighter_reading_near_the_range():
+    """u = 0.2 +- 0.05 at a range of 5 m is a reading of 4 to 5 m: a line errs by 0.06 m there."""
+    z = [arb(0)] * (TERMS + 2 * SYMBOLS + 1)
+    z[0], z[TERMS] = arb("0.2"), arb("0.05")
+    y = models.inverse_from(z, arb("0.2"))
+    a, b = 0.2, 0.25
+    k = 1 / (a * b)
+    assert float(y[-1].rad()) == pytest.approx((a * k + 1 / a - 2 * k**0.5) / 2, rel=1e-6)
+
+
 def test_the_larger_and_the_smaller_of_two_models_are_tight():
     """x and 0: x is in [-1, 1], so both are x / 2 + 1/4 +- 1/4, and exact where it is clear."""
     x, zero = [arb(0), arb(1), *[arb(0)] * 5], [arb(0)] * 7
