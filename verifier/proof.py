@@ -41,7 +41,8 @@ BORNE = 1.3
 #: What a step adds to the errors is taken this much larger, and larger by TAIL, so that a checker
 #: whose own bounds are a little wider finds room.
 SLACK, TAIL = 1.25, 1e-18
-#: The same where a kink was kept: there the bounds depend on details.
+#: The same where a kink was kept: there the bounds depend on details. (Wide rows, which are
+#: full of kinks, would grow too much.)
 KINK_SLACK = 2.0
 
 
@@ -313,7 +314,8 @@ class Prover:
         divider, count = self._divider, len(rows)
         if not count:
             return rows
-        slack = np.where(rows.kink > 0, KINK_SLACK, SLACK)
+        kinked = (rows.kink > 0) & (not self._problem.wide)
+        slack = np.where(kinked, KINK_SLACK, SLACK)
         state = Models(state.c, state.radius * slack + TAIL)
         rows = replace(
             rows,
