@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from generator.instances import Question
+from generator.openloop.part import MakePart, open_loop_part
 from generator.partition import Partition
+from generator.unrolled.part import unrolled_part
 
 LOWER, UPPER = "0.65", "0.85"
 
@@ -17,13 +19,15 @@ class Category:
 
     timeout: seconds that a tool may take for one instance; partitions: of the start range,
     for every controller that has a training record; listed: further questions, as (controller,
-    question with the controller and category left out of its ID).
+    question with the controller and category left out of its ID); make: what makes the
+    networks and VNN-LIB specifications of a category that has no JSON instances.
     """
 
     name: str
     timeout: int
     partitions: tuple[Partition, ...] = ()
     listed: tuple[tuple[str, Question], ...] = ()
+    make: MakePart | None = None
 
     def questions(self, controller: str) -> Iterator[Question]:
         """Yield the questions to ask of a controller."""
@@ -83,7 +87,7 @@ _QUICK = (
     _quick(_DDPG, "late", ("0.74", "0.76"), front="1.2", speed="2.4", steps=20, safety="hscc20"),
     # Most starts go well and a few do not; in the last, only between control instants.
     _quick(_DDPG, "swerve", _RANGE, speed="2.4", heading="40", steps=20),
-    _quick(_TD3, "swerve", _RANGE, heading="-30"),
+    _quick(_TD3, "swerve", _RANGE, front="1.7", speed="2.4", heading="-40", steps=20),
 )
 
 CATEGORIES = {
@@ -97,6 +101,8 @@ CATEGORIES = {
             ),
         ),
         Category("full_range", timeout=300, partitions=(_partition("0.2", "clearance", "hscc20"),)),
+        Category("open_loop", timeout=60, make=open_loop_part),
+        Category("unrolled", timeout=60, make=unrolled_part),
         Category("quick", timeout=20, listed=_QUICK),
     )
 }

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from generator.categories import CATEGORIES
-from generator.emit import build, load_controllers
+from generator.emit import build, category_folders, load_controllers
 from generator.hyperparams import load_hyperparameters
 from generator.instance_command import instance
 from generator.progress import progress_bar
@@ -156,10 +156,10 @@ def emit(check: bool, names: tuple[str, ...], root: Path, as_json: bool) -> int:
         return _show_differences(check_tree(root, emitted), as_json)
     written, removed = write_tree(root, emitted)
     table = Table("category", "instances", "files", "written", "removed")
-    for category, folder in zip(categories, emitted.folders, strict=True):
-        prefix = f"{folder}/"
+    for category in categories:
+        prefix = tuple(f"{folder}/" for folder in category_folders(category))
         row = {
-            "instances": sum(len(list(category.questions(x.name))) for x in controllers),
+            "instances": emitted.tree.get(f"{prefix[0]}instances.csv", b"").count(b"\n"),
             "files": sum(x.startswith(prefix) for x in emitted.tree),
             "written": sum(x.startswith(prefix) for x in written),
             "removed": sum(x.startswith(prefix) for x in removed),

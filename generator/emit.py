@@ -10,7 +10,8 @@ from pathlib import Path
 from generator import hdf5
 from generator.categories import Category
 from generator.hdf5 import Dataset, Group
-from generator.instances import ControllerFile, make_instance
+from generator.instances import ControllerFile, benchmark_plant, make_instance
+from generator.openloop.part import NETWORKS, SPECS, Asked, Draw, spec_path
 from generator.partition import Partition
 from generator.record import ControllerRecord, load_record
 from generator.traces import trace_group
@@ -20,6 +21,8 @@ from racecar.experiment import default_field_of_view
 from racecar.instance import format_instance, instance_schema
 
 FOLDER = "benchmarks"
+#: Version of VNN-LIB that an instances.csv names; the other versions lie beside it.
+LISTED_VERSION = "1.0"
 SCHEMA, MANIFEST = f"{FOLDER}/instance.schema.json", f"{FOLDER}/manifest.json"
 
 
@@ -51,10 +54,15 @@ def build(
 ) -> Emitted:
     """Return every file of the categories, and the schema.
 
-    report(done, total) counts instances.
+    report(done, total) counts instances, and controllers in the categories that make networks or
+    VNN-LIB specifications.
     """
     tree: Tree = {SCHEMA: format_json(instance_schema())}
-    total = sum(1 for c in categories for file in controllers for _ in c.questions(file.name))
+    total = sum(
+        1 if c.make else len(list(c.questions(file.name)))
+        for c in categories
+        for file in controllers
+    )
     done = 0
     traces: dict[str, Dataset | Group] = {}
     for category in categories:
@@ -62,6 +70,13 @@ def build(
         rows = []
         for file in controllers:
             view = default_field_of_view(file.controller.rays)
+            if category.make:
+                plant = benchmark_plant(file.controller.rays, view)
+                part = category.make(file, plant, category.name, category.timeout, Draw())
+                tree |= part.files
+                rows += [_row(category, asked) for asked in part.asked]
+                done += 1
+                report(done, total)
             for question in category.questions(file.name):
                 spec = f"json/{question.id}.json"
                 if f"{base}/{spec}" in tree:
@@ -82,8 +97,20 @@ def build(
             group = Group("reference traces of the nominal drive, by controller", traces)
             tree[f"{base}/{TRACES}"] = hdf5.to_bytes(group)
     inputs = {f"onnx/{file.path.name}": file.content for file in controllers}
-    folders = tuple(f"{FOLDER}/{category.name}" for category in categories)
+    folders = tuple(folder for category in categories for folder in category_folders(category))
     return Emitted(tree, folders, inputs, MANIFEST)
+
+
+def category_folders(category: Category) -> tuple[str, ...]:
+    """Return the folders below the root that hold nothing but a category's files."""
+    parents = (FOLDER, SPECS, NETWORKS) if category.make else (FOLDER,)
+    return tuple(f"{parent}/{category.name}" for parent in parents)
+
+
+def _row(category: Category, asked: Asked) -> tuple[str, str, int]:
+    """Return a row of instances.csv, paths relative to the category's folder."""
+    spec = spec_path(category.name, asked.id, LISTED_VERSION)
+    return f"../../{asked.network}", f"../../{spec}", asked.timeout
 
 
 def _partitions(category: Category, controllers: Sequence[str]) -> Group:

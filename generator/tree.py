@@ -31,8 +31,8 @@ REFERENCE = "reference"
 class Emitted:
     """What is to lie under a root.
 
-    tree: the files; folders: those that hold nothing else; inputs: files that the tree was
-    made from; manifest: path of the manifest, which covers tree and inputs.
+    tree: the files; folders: those that hold nothing else, each two levels deep; inputs: files
+    that the tree was made from; manifest: path of the manifest, which covers tree and inputs.
     """
 
     tree: Tree
@@ -111,15 +111,13 @@ def _manifest(root: Path, emitted: Emitted, tree: Tree) -> bytes:
 
 
 def _other_entries(root: Path, emitted: Emitted) -> Entries:
-    """Return the entries of the present manifest about other emitted folders beside ours."""
-    beside = Path(emitted.manifest).parent.as_posix() + "/"
+    """Return the entries of the present manifest about other emitted folders than ours."""
     try:
         files = json.loads(_content(root / emitted.manifest) or b"{}")["files"]
         return {
             path: entry
             for path, entry in files.items()
-            if path.startswith(beside)
-            and "/" in path.removeprefix(beside)
+            if path.count("/") > 1
             and not path.startswith(tuple(f"{folder}/" for folder in emitted.folders))
             and (root / path).exists()
         }

@@ -1,0 +1,1 @@
+"""Questions about a controller alone, as VNN-LIB specifications."""

@@ -1,0 +1,34 @@
+"""What the category of unrolled networks adds to the emitted tree, for one controller."""
+
+from __future__ import annotations
+
+from generator.instances import ControllerFile
+from generator.openloop.part import NETWORKS, Asked, Draw, Part
+from generator.unrolled.questions import small_enough, unrolled_questions
+from racecar.closed_loop import Plant
+
+
+def unrolled_part(
+    file: ControllerFile, plant: Plant, category: str, timeout: int, draw: Draw
+) -> Part:
+    """Return the unrolled networks of a controller and the questions about them.
+
+    timeout: for one step; longer runs get more. Nothing for large controllers.
+    """
+    part = Part()
+    if not small_enough(file.controller):
+        return part
+    asked_for = unrolled_questions(file.name, file.controller, plant, draw.start, draw.tag)
+    for graphs, questions in asked_for:
+        for graph in graphs:
+            part.files[network_path(category, graph.name)] = graph.content
+        for question in questions:
+            network = network_path(category, question.graph)
+            asked = Asked(question.id, network, question.patience * timeout)
+            part.add(category, asked, question.spec)
+    return part
+
+
+def network_path(category: str, name: str) -> str:
+    """Return where an unrolled network lies below the root."""
+    return f"{NETWORKS}/{category}/{name}.onnx"
