@@ -11,7 +11,7 @@ import numpy as np
 from flint import arb
 
 from checker.files import NAMES, Certificate, GuardKind, Instance, Kind, Rejected, Row, require
-from checker.models import ONE, ZERO, magnitude
+from checker.models import BASE, KNOWN, ONE, ZERO, magnitude
 
 #: A part may be given with a half width that is larger by this, relative and absolute: room
 #: for rounding. The parent's x is then (lo + hi) / 2 + half x with the larger half.
@@ -103,6 +103,8 @@ class Forest:
             require(row.kind in (Kind.ROOT, Kind.GATHERED), "it has no parent, but is no root")
             start = row.kind == Kind.GATHERED or (row.step, row.frame) == (0, 0)
             require(start and row.guard == -1, "it is not at the start, or assumes something")
+            own = len(row.spread[0]) < KNOWN or not row.spread[:, BASE:KNOWN].any()
+            require(own, "its symbols are products where they have to be its own")
             return
         kinds = Kind.PART, Kind.IMAGE, Kind.ADVANCE
         require(row.kind in kinds, "it has a parent, but its kind has none")

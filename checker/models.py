@@ -4,16 +4,17 @@ A model is a list of balls ``[c_0 .. c_5, a_1 .. a_m, b_1 .. b_m, rest]`` and st
 
     sum_k c_k x^k + sum_j (a_j + b_j x) e_j + rest,   x, e_j in [-1, 1]
 
-with the same x and e for all models of a row. Every operation returns a model that contains
-the exact result for all x, e and all values in the balls: rounding is inside the balls (100
-bits), what is cut off goes into ``rest``, a ball around 0.
+with the same x and e for all models of a row. In models of at least KNOWN symbols the first BASE
+are followed by their products, 2 e_i^2 - 1 and e_i e_j by PAIRS. Every operation returns a model
+that contains the exact result for all x, e and all values in the balls: rounding is inside the
+balls (100 bits), what is cut off goes into ``rest``, a ball around 0.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from math import factorial
+from math import atanh, factorial
 from operator import mul
 
 from flint import arb, arb_mat, arb_poly, arb_series, ctx
@@ -26,6 +27,9 @@ Model = list[arb]
 Taylor = Callable[[arb, int], list[arb]]
 
 TERMS = 6
+BASE = 3
+PAIRS = [(i, j) for i in range(BASE) for j in range(i, BASE)]
+KNOWN = BASE + len(PAIRS)
 ZERO, ONE, UNIT, SHARE = arb(0), arb(1), arb(0, 1), arb(0.5, 0.5)  # 0, 1, [-1, 1], [0, 1]
 HALF = arb(0.5)
 _POWERS = [ONE, UNIT, SHARE, UNIT, SHARE, UNIT]  # what x^0 .. x^5 range over
@@ -114,11 +118,30 @@ def multiply(z: Model, w: Model) -> Model:
     second = [t + p[0] * y + q[0] * x for t, x, y in zip(second, b, d, strict=True)]
     size_b, size_d = magnitude(b), magnitude(d)
     size_z, size_w = magnitude(a) + size_b, magnitude(c) + size_d
-    cut = magnitude(full[TERMS:]) + size_z * size_w
+    cut = magnitude(full[TERMS:])
+    if len(a) >= KNOWN:
+        cut += (size_z - magnitude(a[:BASE])) * size_w + magnitude(a[:BASE]) * (
+            magnitude(c[BASE:]) + size_d
+        )
+        full[0] += _add_products(first, a, c)
+    else:
+        cut += size_z * size_w
     cut += abs(p[1]) * size_d + magnitude(p[2:]) * size_w
     cut += abs(q[1]) * size_b + magnitude(q[2:]) * size_z
     rest = abs(r) * magnitude(w) + abs(s) * magnitude(z[:-1])
     return [*full[:TERMS], *first, *second, (cut + rest) * UNIT]
+
+
+def _add_products(to: list[arb], a: list[arb], c: list[arb]) -> arb:
+    """Add the product of sum_j a_j e_j and sum_j c_j e_j, j < BASE, to symbols; return the rest."""
+    total = ZERO
+    for k, (i, j) in enumerate(PAIRS, BASE):
+        if i == j:  # e^2 = (1 + (2 e^2 - 1)) / 2
+            to[k] += a[i] * c[i] / 2
+            total += a[i] * c[i] / 2
+        else:
+            to[k] += a[i] * c[j] + a[j] * c[i]
+    return total
 
 
 def shifted(p: list[arb], middle: arb, half: arb, length: int) -> list[arb]:
@@ -137,7 +160,8 @@ def _composed(g: list[arb], p: list[arb]) -> arb_series:
 def _apply(z: Model, taylor: Taylor) -> Model:
     """Return the model of g(z), g an analytic function; ArithmeticError outside of its domain.
 
-    With z = p(x) + l, l the symbols and the rest: g(z) = g(p(x)) + g'(p(x)) l + g''(.) l^2/2.
+    With z = p(x) + l, l the symbols and the rest: g(z) = g(p(x)) + g'(p(x)) l + g''(.) l^2/2, or
+    g(p(x)) + g'(p(x)) l + g''(p(x)) l^2/2 + g'''(.) l^3/6 where squares are known.
     Taylor's theorem in x: the coefficients of order 6 of g(p), 2 of g'(p), at all of [-1, 1].
     """
     p, a, b, rest = split(z)
@@ -150,12 +174,23 @@ def _apply(z: Model, taylor: Taylor) -> Model:
     stray = size + abs(rest)
     d0, d1 = g[1], 2 * g[2] * p[1]
     cut = sixth * SHARE + h[1] * rest + (abs(d1) * size_b + abs(second) * size) * UNIT
-    cut += taylor(q[0] + stray * UNIT, 2)[2] * (stray * stray) * SHARE
+    whole = taylor(q[0] + stray * UNIT, 3)
+    plain, bend = whole[2] * (stray * stray) * SHARE, ZERO
+    if len(a) >= KNOWN:
+        line = magnitude(a[:BASE])
+        other = magnitude(a[BASE:]) + size_b + abs(rest)
+        bent = 3 * h[3] * (q[0] - p[0]) * (stray * stray) * SHARE + whole[3] * stray**3 * UNIT
+        bent += g[2] * (2 * line * other * UNIT + other * other * SHARE)
+        if abs(bent).upper() < abs(plain).upper():
+            plain, bend = bent, g[2]
+    cut += plain
     if not cut.is_finite():
         raise ArithmeticError("a function is not defined everywhere")
     series = _composed(g, p)
     first = [d0 * x for x in a]
     mixed = [d0 * y + d1 * x for x, y in zip(a, b, strict=True)]
+    if len(a) >= KNOWN:
+        cut += _add_products(first, a, [bend * x for x in a[:BASE]])
     return plus([*(series[k] for k in range(TERMS)), *first, *mixed, ZERO], cut)
 
 
@@ -167,18 +202,44 @@ def _riccati(g: list[arb], sign: int, n: int) -> list[arb]:
     return g
 
 
+#: Errors beyond which lines may be better than series.
+_LARGE = 0.01
 _TANH_BEND = 2 / (3 * arb(3).sqrt()) * UNIT  # what tanh''/2 ranges over
 
 
 def tanh(z: Model) -> Model:
-    """Return the hyperbolic tangent."""
+    """Return the hyperbolic tangent: by its series, or by lines where errors are large."""
 
     def taylor(y: arb, n: int) -> list[arb]:
         h = y.tanh()
         slope = (1 - h * h).intersection(SHARE)
         return _riccati([h, slope, (-h * slope).intersection(_TANH_BEND)], -1, n)
 
-    return _apply(z, taylor)
+    series = _apply(z, taylor)
+    if not magnitude(z[TERMS:]) > _LARGE:
+        return series
+    line = _tanh_line(z)
+    return series if abs(series[-1]).upper() <= abs(line[-1]).upper() else line
+
+
+def _tanh_line(z: Model) -> Model:
+    """Return tanh(z) as k z and what lies between, for the slope k of tanh at any place c >= 0.
+
+    d(z) = tanh(z) - k z is odd, concave above 0 with its maximum at c, and convex below.
+    """
+    y = bound(z)
+    low, high = y.lower(), y.upper()
+    chord = float(((high.tanh() - low.tanh()) / (high - low)).mid())
+    c = atanh(min(max(1 - chord, 0.0), 1 - 1e-9) ** 0.5)
+    if low > 0 or high < 0:  # as steep as the chord between low and high, not beyond them
+        middle, quarter = float(abs(y.mid())), float((high - low).mid()) / 4
+        c = max(min(c, middle + quarter), middle - quarter)
+    place = arb(max(c, 0.0))
+    slope = 1 - place.tanh() ** 2
+    first, last, top = (x.tanh() - slope * x for x in (low, high, place))
+    most = first.max(top if high >= 0 else last)
+    least = last.min(-top if low <= 0 else first)
+    return plus(scale(z, slope), least.union(most))
 
 
 def sigmoid(z: Model) -> Model:
@@ -296,18 +357,31 @@ def sinc(z: Model) -> Model:
 
 
 def restrict(z: Model, parameter: int, low: arb, high: arb) -> Model:
-    """Return z on the part [low, high] of parameter 0, x, or j > 0, symbol e_j, as [-1, 1]."""
+    """Return z on the part [low, high] of parameter 0, x, or j > 0, symbol e_j, as [-1, 1].
+
+    Raises ValueError for products, which have no parts.
+    """
     if low == -1 and high == 1:
         return z
+    if symbols(z) >= KNOWN and BASE < parameter <= KNOWN:
+        raise ValueError("a product of symbols is divided")
     p, a, b, rest = split(z)
     middle, half = (low + high) / 2, (high - low) / 2
     if parameter == 0:
         moved = [x + y * middle for x, y in zip(a, b, strict=True)]
         return [*shifted(p, middle, half, TERMS), *moved, *(y * half for y in b), rest]
-    out, i = list(z), TERMS + parameter - 1
-    for order, place in enumerate((i, i + symbols(z))):
-        out[order] += z[place] * middle
-        out[place] = z[place] * half
+    out, m, own = list(z), symbols(z), parameter - 1
+    for order, first in enumerate((TERMS, TERMS + m)):
+        out[order] += z[first + own] * middle
+        for k, (i, j) in enumerate(PAIRS if m >= KNOWN else [], first + BASE):
+            if i == j == own:  # 2 e^2 - 1 with e = middle + half e'
+                out[order] += z[k] * (2 * middle * middle + half * half - 1)
+                out[first + own] += z[k] * (4 * middle)
+                out[k] = z[k] * half * half
+            elif own in (i, j):
+                out[first + i + j - own] += z[k] * middle
+                out[k] = z[k] * half
+        out[first + own] *= half
     return out
 
 

@@ -7,7 +7,18 @@ from flint import arb
 from checker.files import Certificate, GuardKind, Instance, Kind, Rejected, Row, Unreadable, require
 from checker.forest import WIDER, Assumed, Forest
 from checker.inclusion import models_of, prove_gathered, prove_image, prove_part, state_of
-from checker.models import ONE, Model, bound, halves, line, negative, plus, positive, restrict
+from checker.models import (
+    KNOWN,
+    ONE,
+    Model,
+    bound,
+    halves,
+    line,
+    negative,
+    plus,
+    positive,
+    restrict,
+)
 from checker.step import Network, Path, Sensors, View, steering
 
 
@@ -28,6 +39,9 @@ class Checker:
         self.carried = max(cert.symbols - 3, 0)
         require(cert.instance_sha256 == instance.sha256, "it is of another instance")
         require(cert.weights_sha256 == instance.weights_sha256, "of another network")
+        few = cert.symbols == 3 and not self.sensors.apart
+        require(few or cert.symbols >= KNOWN + 3, f"{cert.symbols} symbols do not fit the instance")
+        self.sensors.apart = not few
         require(self.margin > 0, "the claimed margin is not positive")
 
     def _check_instance(self) -> None:

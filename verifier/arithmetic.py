@@ -18,6 +18,11 @@ from verifier.rounding import TINY, UP, U, gamma
 
 DEGREE = 5
 TERMS = DEGREE + 1
+#: In models of at least KNOWN symbols those from BASE on are products of the first ones:
+#: 2 e_i^2 - 1 and e_i e_j, by PAIRS. Forgetting that is always sound.
+BASE = 3
+PAIRS = tuple((i, j) for i in range(BASE) for j in range(i, BASE))
+KNOWN = BASE + len(PAIRS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,12 +151,33 @@ def multiply(a: Model, b: Model) -> Model:
         cut = cut + (abs(pb[1]) * total_size(ea[1::2]) + behind_b[2] * size_ea)
     if eb:
         cut = cut + (abs(pa[1]) * total_size(eb[1::2]) + behind_a[2] * size_eb)
-        cut = cut + size_ea * size_eb
+        if len(ea) >= 2 * KNOWN and len(eb) >= 2 * BASE:
+            (line_a, rest_a), (line_b, rest_b) = based(ea), based(eb)
+            add_products(c, line_a, line_b)
+            cut = cut + (rest_a * size_eb + total_size(line_a) * rest_b)
+        else:
+            cut = cut + size_ea * size_eb
     size_a, size_b = behind_a[0] + size_ea, behind_b[0] + size_eb
-    # A coefficient is a sum of at most TERMS + 4 products.
+    # A coefficient is a sum of at most TERMS + 6 products.
     radius = cut + a.radius * (size_b + b.radius) + b.radius * size_a
-    radius = radius + gamma(TERMS + 5) * (size_a * size_b)
+    radius = radius + gamma(TERMS + 8) * (size_a * size_b)
     return Model(c, radius * UP + TINY)
+
+
+def based(e: list[Value]) -> tuple[list[Value], Value]:
+    """Return the a_j of the first BASE of some symbols, and the size of all other coefficients."""
+    return e[: 2 * BASE : 2], total_size(e[1 : 2 * BASE : 2] + e[2 * BASE :])
+
+
+def add_products(c: list[Value], a: Sequence[Value], b: Sequence[Value]) -> None:
+    """Add the product of sum_j a_j e_j and sum_j b_j e_j, j < BASE, to coefficients."""
+    for k, (i, j) in enumerate(PAIRS, BASE):
+        if i == j:  # e^2 = (1 + (2 e^2 - 1)) / 2
+            term = 0.5 * (a[i] * b[i])
+            c[0] = c[0] + term
+        else:
+            term = a[i] * b[j] + a[j] * b[i]
+        c[TERMS + 2 * k] = c[TERMS + 2 * k] + term
 
 
 def substitute(model: Model, middle: Value, half: Value) -> Model:

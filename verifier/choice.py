@@ -30,7 +30,7 @@ from verifier.compiled.kernel import kernel
 from verifier.compiled.trace import Trace, Value, maximum, minimum, where
 from verifier.models import Array
 from verifier.rows import Assumption, Decision
-from verifier.walls import NEAREST, RANGE, Faces, Index, Walls, grid
+from verifier.walls import RANGE, Faces, Index, Walls, grid, usable
 
 
 class Codes:
@@ -109,18 +109,19 @@ class Choice:
 
 def choose(
     walls: Walls, meaning: Meaning, directions: Array, reach: float,
-    decisions: Sequence[Sequence[Assumption]],
+    decisions: Sequence[Sequence[Assumption]], forced: NDArray[np.bool_],
 ) -> Choice:  # fmt: skip
     """Choose the face met by each ray from the middle of each row.
 
-    directions: ``[2 or more, rays]``, cosine and sine first.
+    directions: ``[2 or more, rays]``, cosine and sine first; forced: ``[rows]``, for which it may
+    stay open whether a wall is met, if only one of its faces says how near at most.
     """
     faces, rows = walls.faces, walls.rows
     rays = directions.shape[1]
     ray, row = grid(rays, rows)
     decided = _decided(walls, meaning, rays, decisions)
     program = _choice(faces.walls, faces.count, len(faces.twos), reach, decided is not None)
-    near = np.concatenate([walls.low, walls.high, walls.miss_centre])
+    near = np.concatenate([walls.low, walls.high, walls.miss_centre, forced[None].astype(float)])
     tables = [directions[:2], walls.centres, near]
     found = program(len(ray), tables if decided is None else [*tables, decided], [ray, row])
     slots = found[2:].ravel()
@@ -200,13 +201,14 @@ class _View:
         combined = [
             cosine * a + sine * b for a, b in zip(centres[:entries], centres[entries:], strict=True)
         ]
-        near = trace.table(3 * count, row)
-        self.low, self.high, self.miss = near[:count], near[count : 2 * count], near[2 * count :]
-        self.usable = [x > NEAREST for x in self.low]
+        near = trace.table(3 * count + 1, row)
+        self.low, self.high, self.miss = (near[i * count : (i + 1) * count] for i in range(3))
+        self.forced = near[-1] > 0.0
+        self.usable = [usable(*x) for x in zip(self.low, self.high, strict=True)]
         self.rate = combined[:count]
         self.ratio = [
-            where(usable, x, -np.inf)
-            for usable, x in zip(self.usable, combined[count : 2 * count], strict=True)
+            where(known, x, -np.inf)
+            for known, x in zip(self.usable, combined[count : 2 * count], strict=True)
         ]
         self.cross = combined[2 * count + twos :]
         self.assumed = [trace.number(0.0)] * pairs
@@ -261,9 +263,13 @@ def _beyond(
     """Return the best way for a wall to lie no nearer than ``best``: slack, codes of guards."""
     zero = best.trace.number(0.0)
     options = []
+    nearest, nearest_code = best.trace.number(-np.inf), zero
     for k in members:
         slack = where(view.usable[k], best - view.ratio[k], -np.inf)
         options.append((slack, view.codes.nearer(winner, k), zero))
+        better = slack > nearest
+        nearest = where(better, slack, nearest)
+        nearest_code = where(better, options[-1][1], nearest_code)
         for j in members:
             if j == k:
                 continue
@@ -279,4 +285,5 @@ def _beyond(
         slack = where(better, other, slack)
         code = where(better, other_code, code)
         recedes = where(better, other_recedes, recedes)
-    return slack, code, recedes
+    force = view.forced & (slack < 0.0) & (nearest > -np.inf)
+    return where(force, 0.0, slack), where(force, nearest_code, code), where(force, 0.0, recedes)

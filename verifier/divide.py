@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racecar.track import Advance
-from verifier.models import TERMS, Models, bounds, error_spread, norm
+from verifier.models import TERMS, Array, Models, bounds, cuttable, error_spread, norm
 from verifier.record import Part, Record, everything
 from verifier.rounding import U
 from verifier.rows import THETA, Assumption, Beyond, F, Rows, S
@@ -29,6 +29,8 @@ MOST_SPLITS = 40
 SYMBOL_SHARE = 0.2
 #: Radians of heading count as so many metres.
 LEVER = 5.0
+#: Rows of which no member strays by more (m) need not be clear.
+SMALL = 5e-3
 #: A cut that leaves this much of a row (of 2) on one side is as good as none.
 WHOLE = 1.998
 
@@ -107,7 +109,7 @@ class Divider:
 
     def cut(self, rows: Rows, guards: Guards, unclear: NDArray[np.bool_]) -> list[Rows]:
         """Cut each row at the one of its failing guards that divides it best."""
-        children = self.halve(rows.take(unclear))
+        children = self._clear(rows.take(unclear))
         index = np.flatnonzero(~unclear[guards.row])
         if not index.size:
             return children
@@ -138,10 +140,21 @@ class Divider:
             most & ~useless | undecided & useless | (several & useless & self._wide)
         )
         c = np.abs(guards.models.c[:, index[first]])
-        pairs = c[TERMS::2] + c[TERMS + 1 :: 2]
+        pairs = _by_symbol(c)
         along = np.concatenate([c[1:TERMS].sum(axis=0)[None], pairs]).argmax(axis=0)
         children += self.halve(chosen.take(split), along[split])
         return children + self._sides(chosen, both, decisions, np.flatnonzero(~give_in & ~split))
+
+    def _clear(self, rows: Rows) -> list[Rows]:
+        """Return halves of rows that are unclear; small ones may keep kinks at any cost.
+
+        At a place where a ray is parallel to a face and upon it, what it reads jumps: no part of
+        a row around it is small enough.
+        """
+        small = self._wide & np.isfinite(rows.kink) & (reach_of(rows) < SMALL)
+        forced = rows.take(small)
+        forced = replace(forced, kink=np.full(len(forced), np.inf))
+        return [*([forced] if len(forced) else []), *self.halve(rows.take(~small))]
 
     def _sides(
         self, rows: Rows, both: Sides, decisions: list[Assumption | None], go: Index
@@ -209,8 +222,14 @@ def widest(rows: Rows) -> Index:
     """
     c = rows.state.c * np.array([1.0, 1.0, 1.0, LEVER])[:, None]
     along_x = SYMBOL_SHARE * norm(c[1:TERMS]).max(axis=0)
-    pairs = (np.abs(c[TERMS::2]) + np.abs(c[TERMS + 1 :: 2])).max(axis=1)
+    pairs = _by_symbol(np.abs(c)).max(axis=1)
     return np.concatenate([along_x[None], pairs]).argmax(axis=0)
+
+
+def reach_of(rows: Rows) -> Array:
+    """Return how far the members of rows stray at most (m; the heading times LEVER)."""
+    sizes = norm(rows.state.c[1:]) * np.array([1.0, 1.0, 1.0, LEVER])[:, None]
+    return np.asarray(sizes.max(axis=0))
 
 
 def sharpest(scan: Models) -> Index:
@@ -221,9 +240,34 @@ def sharpest(scan: Models) -> Index:
     """
     c = scan.c
     along_x = np.abs(c[TERMS - 1]).sum(axis=0)
-    pairs = np.abs(c[TERMS::2]) + np.abs(c[TERMS + 1 :: 2])
-    missing = np.square(pairs).sum(axis=1)
+    missing = np.square(_by_symbol(np.abs(c))).sum(axis=1)
     return np.concatenate([along_x[None], missing]).argmax(axis=0)
+
+
+def shrunk(scan: Models, along: Index) -> Models:
+    """Return a scan ``[rays, rows]`` of about half of each row, along a parameter each.
+
+    For comparisons only: nothing is promised of it.
+    """
+    c, radius = scan.c.copy(), scan.radius.copy()
+    x = along == 0
+    for k in range(1, TERMS):
+        c[k][:, x] *= 0.5**k
+    c[TERMS + 1 :: 2][..., x] *= 0.5
+    some = np.flatnonzero(~x)
+    place = TERMS + 2 * (along[some] - 1)
+    for k in (0, 1):
+        c[place + k, :, some] *= 0.5
+    radius[:, some] *= 0.4
+    return Models(c, radius)
+
+
+def _by_symbol(sizes: Array) -> Array:
+    """Return the sum of the sizes of each symbol's coefficients; 0 for products."""
+    pairs = sizes[TERMS::2] + sizes[TERMS + 1 :: 2]
+    kept = np.zeros(len(pairs))
+    kept[cuttable(len(pairs))] = 1.0
+    return pairs * kept.reshape(-1, *[1] * (pairs.ndim - 1))
 
 
 def _signed(assumption: Assumption | None, positive: bool) -> Assumption | None:

@@ -4,6 +4,10 @@ For z = p(x) + l with p the polynomial part and l the error part, |l| <= lambda:
 
     g(z) = g(p(x)) + g'(p(x)) l + g''(.) l^2 / 2
 
+or, where products of symbols are known, with f the first order of the first symbols in l:
+
+    g(z) = g(p(x)) + g'(p(x)) l + g''(p(0)) f^2 / 2 + rest
+
 The coefficients of g(p(x)) follow from the differential equation of g by recurrence. The
 same recurrence on absolute values ("majorant"), begun with bounds of the values over the
 whole row, bounds the Taylor coefficients at every x in [-1, 1]; the one of order DEGREE + 1
@@ -17,7 +21,18 @@ from __future__ import annotations
 
 import math
 
-from verifier.arithmetic import DEGREE, TERMS, Model, bounds, error_spread, total_size, unless
+from verifier.arithmetic import (
+    DEGREE,
+    KNOWN,
+    TERMS,
+    Model,
+    add_products,
+    based,
+    bounds,
+    error_spread,
+    total_size,
+    unless,
+)
 from verifier.compiled.trace import Value, maximum, minimum, where
 from verifier.compiled.trace import total as summed
 from verifier.elementary import SIN_COS_RANGE, sin_cos, tanh_pair
@@ -59,7 +74,9 @@ def _assemble(
     slope: tuple[Value, Value],
     slope_size: tuple[Value, Value],
     slope_rest: Value,
+    curve: Value,
     curve_most: Value | float,
+    third_most: Value | float,
     remainder: Value,
     size: Value,
 ) -> Model:
@@ -67,20 +84,34 @@ def _assemble(
 
     value: coefficients of g(p(x)); slope: the first two of g'(p(x)); slope_size: the
     majorant's, the first of which bounds |g'(p(x))|; slope_rest: bound of the rest of
-    g'(p(x)) beyond its first two; curve_most: of |g''| on the whole range; remainder: of
-    g(p(x)) beyond its polynomial; size: of all coefficients together, for rounding.
+    g'(p(x)) beyond its first two; curve: g''(p(0)) / 2; curve_most, third_most: of |g''| and
+    |g'''| on the whole range; remainder: of g(p(x)) beyond its polynomial; size: of all
+    coefficients together, for rounding.
     """
     c, error = list(value), z.e
     # The last summand is NaN where the argument is not finite.
     radius = remainder + slope_size[0] * z.radius + ROUNDING * size + 0.0 * z.c[0]
     stray = error_spread(z)
-    radius = radius + 0.5 * curve_most * (stray * stray)
+    plain = 0.5 * curve_most * (stray * stray)
+    line, bent = None, plain
+    if len(error) >= 2 * KNOWN:
+        # |g''(p(x)) - g''(p(0))| <= third_most far, and l^2 = f^2 + 2 f (l - f) + (l - f)^2.
+        line, others = based(error)
+        base, far = total_size(line), _majorant(z.p)[0]
+        others = (others + z.radius) * UP
+        bent = third_most * (stray * stray) * (0.5 * far + stray * (1 / 6))
+        bent = bent + abs(curve) * (others * (2.0 * base + others))
+        bent = bent + ROUNDING * (slope_size[0] + curve_most) * (base * base)
+        curve = where(bent < plain, curve, 0.0)
+    radius = radius + minimum(bent, plain)
     if error:
         for j, x in enumerate(error):
             c.append(slope[0] * x if j % 2 == 0 else slope[0] * x + slope[1] * error[j - 1])
         total = total_size(error)
         radius = radius + abs(slope[1]) * total_size(error[1::2]) + slope_rest * total
         radius = radius + ROUNDING * (slope_size[0] + slope_size[1]) * total
+    if line is not None:
+        add_products(c, line, [curve * x for x in line])
     return Model(c, radius * UP + TINY)
 
 
@@ -110,7 +141,9 @@ def tanh(z: Model) -> Model:
         (q[0], q[1]),
         (qq[0], qq[1]),
         qq[2] * UP,
+        -h[0] * q[0],
         0.77,  # |tanh''| <= 4 / (3 sqrt 3) = 0.7698...
+        2.0,
         hh[TERMS] * UP,
         summed(hh[:TERMS]),
     )
@@ -153,10 +186,33 @@ def sine_cosine(z: Model) -> tuple[Model, Model]:
     for k in range(1, TERMS + 1):
         m.append(_integral(zz, m, k))
     size = where(abs(p[0]) < SIN_COS_RANGE, summed(m[:TERMS]), float("inf"))
-    sizes = (m[0] * UP, m[1] * UP)
+    # |sin| and |cos| on the whole row: at its middle, and as far as p strays from there.
+    sine_most, cosine_most = (minimum(abs(x) + (zz[0] + 2.0**-40), 1.0) * UP for x in (s0, c0))
     rest = m[2] * UP
-    sine = _assemble(z, s, (c[0], c[1]), sizes, rest, 1.0, m[TERMS] * UP, size)
-    cosine = _assemble(z, c, (-s[0], -s[1]), sizes, rest, 1.0, m[TERMS] * UP, size)
+    sine = _assemble(
+        z,
+        s,
+        (c[0], c[1]),
+        (cosine_most, m[1] * UP),
+        rest,
+        -0.5 * s[0],
+        1.0,
+        1.0,
+        m[TERMS] * UP,
+        size,
+    )
+    cosine = _assemble(
+        z,
+        c,
+        (-s[0], -s[1]),
+        (sine_most, m[1] * UP),
+        rest,
+        -0.5 * c[0],
+        1.0,
+        1.0,
+        m[TERMS] * UP,
+        size,
+    )
     return sine, cosine
 
 
@@ -182,7 +238,9 @@ def reciprocal(z: Model) -> Model:
         (-q0 * q0, -2.0 * q0 * q[1]),
         (qq[0] * qq[0] * UP, 2.0 * qq[0] * qq[1] * UP),
         (2.0 * qq[0] * qq[2] + qq[1] * qq[1]) * UP,
+        q0 * q0 * q0,
         2.0 * qq[0] * qq[0] * qq[0] * UP,
+        6.0 * (qq[0] * qq[0]) * (qq[0] * qq[0]) * UP,
         qq[TERMS] * UP,
         summed(qq[:TERMS]),
     )
@@ -217,7 +275,9 @@ def tan(z: Model) -> Model:
         (y[0], y[1]),
         (yy[0] * UP, yy[1] * UP),
         yy[2] * UP,
+        t[0] * y[0],
         2.0 * tt[0] * yy[0] * UP,
+        2.0 * yy[0] * (1.0 + 3.0 * (tt[0] * tt[0])) * UP,
         tt[TERMS] * UP,
         1.0 + summed(tt[:TERMS]),
     )

@@ -14,15 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from verifier.arithmetic import BASE, KNOWN
 from verifier.models import TERMS, Array, Models, bounds, norm
 from verifier.rounding import TINY, UP
 from verifier.rows import THETA, F, Rows, S, V
 
 #: Rows are gathered if together they fill at least this share of the row that contains them.
-FILL = 0.5
+FILL = 0.8
 #: Cells along each of three axes by which that is judged.
 CELLS = 12
-#: Error symbols of a gathered row that are kept to the end: all directions but x.
+#: A row is described anew where its later errors exceed this share of all that x and the first
+#: symbols do (m), and SMALL of a metre.
+STALE = 0.5
+SMALL = 1e-3
+#: Error symbols of a gathered row in use: all directions but x.
 DIRECTIONS = 3
 _ALONG = [S, F, THETA]
 
@@ -106,6 +111,17 @@ def gathered(rows: Rows, symbols: int) -> Gathered:
         node=np.full(1, -1),
     )
     return Gathered(new, _filled(places), places[:, 0].sum(axis=0) > 0)
+
+
+def stale(state: Models) -> NDArray[np.bool_]:
+    """Tell of which rows of a state ``[4, rows]`` later errors are much of all there is.
+
+    Products are known of the first symbols only.
+    """
+    c = state.c[:, _ALONG]
+    first = (norm(c[1:TERMS]) + norm(c[TERMS : TERMS + 2 * BASE])).max(axis=0)
+    later = (norm(c[TERMS + 2 * KNOWN :]) + state.radius[_ALONG]).max(axis=0)
+    return np.asarray(later > STALE * np.maximum(first, SMALL))
 
 
 def _filled(places: Array) -> float:

@@ -8,6 +8,7 @@ it does not grow by being boxed anew at every step. The extent along each axis o
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from verifier.arithmetic import Model, read, total_size
 from verifier.compiled.kernel import kernel
@@ -105,36 +106,35 @@ def _dot(a: Vector, b: Vector) -> Value:
 
 
 def _frame(columns: list[Vector], size: int, trace: Trace) -> list[Vector]:
-    """Return axes, nearly orthogonal, along the longest columns: Householder's QR.
+    """Return axes, nearly orthogonal: Householder's QR, the column that reaches farthest first.
 
     Nothing is promised of them.
     """
-    longest = _longest(columns, size)
     # Row k of the frame: component k along each axis.
     frame = [[trace.number(float(i == k)) for i in range(size)] for k in range(size)]
-    for j in range(min(len(longest), size - 1)):
-        x = longest[j][j:]
-        length = square_root(_dot(x, x))
+    for j in range(min(len(columns), size - 1)):
+        square, pivot, *columns = _longest_first(columns, j)
+        x = pivot[j:]
+        length = square_root(square)
         v = [x[0] + where(x[0] > 0.0, length, -length), *x[1:]]
-        square = _dot(v, v)
-        share = where(square > _NOTHING, 2.0 / square, 0.0)
+        own = _dot(v, v)
+        share = where(own > _NOTHING, 2.0 / own, 0.0)
 
         def reflected(y: Vector, j: int = j, v: Vector = v, share: Value = share) -> Vector:
             along = share * _dot(v, y[j:])
             return [*y[:j], *(a - along * b for a, b in zip(y[j:], v, strict=True))]
 
-        longest = [reflected(y) for y in longest]
+        columns = [reflected(y) for y in columns]
         frame = [reflected(row) for row in frame]
     return [[row[i] for row in frame] for i in range(size)]
 
 
-def _longest(columns: list[Vector], count: int) -> list[Vector]:
-    """Return the longest columns, the longest first."""
-    items = [[_dot(c, c), *c] for c in columns]
-    for i in range(min(count, len(items))):
-        for j in range(i + 1, len(items)):
-            swap = items[j][0] > items[i][0]
-            pairs = list(zip(items[i], items[j], strict=True))
-            items[i] = [where(swap, b, a) for a, b in pairs]
-            items[j] = [where(swap, a, b) for a, b in pairs]
-    return [item[1:] for item in items[:count]]
+def _longest_first(columns: list[Vector], first: int) -> Any:
+    """Return the square of the longest column, from component ``first`` on, and the columns."""
+    items = [[_dot(c[first:], c[first:]), *c] for c in columns]
+    for i in range(1, len(items)):
+        swap = items[i][0] > items[0][0]
+        pairs = list(zip(items[0], items[i], strict=True))
+        items[0] = [where(swap, b, a) for a, b in pairs]
+        items[i] = [where(swap, a, b) for a, b in pairs]
+    return [items[0][0], *(item[1:] for item in items)]

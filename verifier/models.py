@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verifier import arithmetic
-from verifier.arithmetic import DEGREE, TERMS, Model
+from verifier.arithmetic import BASE, DEGREE, KNOWN, TERMS, Model
 from verifier.compiled.kernel import kernel
 from verifier.compiled.trace import Trace, Value
 from verifier.rounding import TINY, UP, gamma
@@ -166,6 +166,11 @@ def lifted(function: Callable) -> Callable[..., Any]:
 def norm(c: Array) -> Array:
     """Return the sum of the absolute values of all coefficients: ``[...]`` (not rounded up)."""
     return np.abs(c).sum(axis=0)
+
+
+def cuttable(symbols: int) -> list[int]:
+    """Return which of so many symbols are no products: rows can be divided along those."""
+    return [j for j in range(symbols) if symbols < KNOWN or not BASE <= j < KNOWN]
 
 
 def constant(value: Array, symbols: int) -> Models:

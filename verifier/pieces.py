@@ -20,6 +20,9 @@ from verifier.record import Record
 TOLERANCES = (1e-6, 1e-8, 1e-10, 1e-12)
 #: The same where errors are what there is: several numbers are uncertain.
 WIDE_TOLERANCES = (1e-4,)
+#: What is left open of a piece is tried like that, too, if it is a smaller share of it: there small
+#: differences grow so much that a polynomial does not hold them.
+SMALL_REST = 1e-3
 #: The ends of a row's piece are tracked to within this (in the box's units, -1 to 1).
 _TRACKED = 2e-12
 #: Pieces per worker: some are harder than others.
@@ -96,11 +99,19 @@ def prove_piece(
             report(share())
             last = time.monotonic()
 
-    prover = Prover(problem, wanted, check, record, decided)
+    provers = [Prover(problem, wanted, check, record, decided)]
+    ladder = [(0, tolerance) for tolerance in TOLERANCES]
+    if problem.wide:
+        ladder = [(0, tolerance) for tolerance in WIDE_TOLERANCES]
+    else:
+        provers.append(Prover(problem, wanted, check, record, decided, wide=True))
+        ladder += [(1, tolerance) for tolerance in WIDE_TOLERANCES]
     in_time = True
     try:
-        for tolerance in WIDE_TOLERANCES if problem.wide else TOLERANCES:
-            latest = lambda: 0.0  # noqa: E731
+        for number, tolerance in ladder:
+            if number and 1 - shown > SMALL_REST:
+                break
+            latest, prover = lambda: 0.0, provers[number]
             proof = prover.prove(box, low, high, tolerance, piece.case)
             least, leaves = min(least, proof.least), leaves + proof.leaves
             low, high = merged(proof.low, proof.high, piece)
@@ -113,8 +124,8 @@ def prove_piece(
     if not low.size:
         decided_share = 1.0
     return Outcome(
-        piece, low, high, least, leaves, prover.cuts, decided_share, in_time,
-        record, prover.network_time_s,
+        piece, low, high, least, leaves, sum(p.cuts for p in provers), decided_share, in_time,
+        record, sum(p.network_time_s for p in provers),
     )  # fmt: skip
 
 

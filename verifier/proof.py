@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 
 from racecar.instance import Disturbance
 from verifier import disturbed
+from verifier.arithmetic import KNOWN
 from verifier.clearance import least_margin
-from verifier.divide import Divider, sharpest
+from verifier.divide import Divider, sharpest, shrunk, widest
 from verifier.elementary import SIN_COS_RANGE
-from verifier.gather import DIRECTIONS, gather
+from verifier.gather import gather, gathered, stale
 from verifier.lohner import consolidate
 from verifier.models import Array, Models, norm
 from verifier.motion import Motion, Path, extent, new_error, total_error
 from verifier.network import Network
+from verifier.policy import NARROW, WIDE
 from verifier.problem import ACTIVE, Box, Problem, start_rows
 from verifier.queue import Queue
 from verifier.record import Record
@@ -38,42 +40,11 @@ GATHER = 4
 GAP = 1e-10
 #: An error that splitting did not help against may grow by this from step to step.
 BORNE = 1.3
-#: What a step adds to the errors is taken this much larger, and larger by TAIL, so that a checker
-#: whose own bounds are a little wider finds room.
-SLACK, TAIL = 1.25, 1e-18
-#: The same where a kink was kept: there the bounds depend on details. (Wide rows, which are
-#: full of kinks, would grow too much.)
+#: What a step adds to the errors is taken larger by this, too (Policy.slack says how much else).
+TAIL = 1e-18
+#: The policy's slack where a kink was kept: there the bounds depend on details. (Wide rows, which
+#: are full of kinks, would grow too much.)
 KINK_SLACK = 2.0
-
-
-@dataclass(frozen=True)
-class Policy:
-    """When a row is accepted.
-
-    coarsest: a row whose errors (m, rad) exceed this is given up; growth: the share of the
-    errors that a row comes with by which they may grow in a step; futile: if splitting did not
-    bring the error of a step below this share, it is accepted; bearable: the same where
-    splitting does not help; kink: the share of them (per metre) up to which kinks are kept in the
-    radius; gain: how much larger than a kink (1/m) the error of a step that keeps it may be.
-    """
-
-    coarsest: float
-    futile: float
-    growth: float
-    bearable: float
-    kink: float
-    gain: float
-    kinked: float
-
-
-#: One uncertain number: errors are small beside what x does.
-NARROW = Policy(
-    coarsest=2e-3, futile=0.5, growth=0.1, bearable=np.inf, kink=0.0, gain=100.0, kinked=np.inf
-)
-#: Several: errors are what there is.
-WIDE = Policy(
-    coarsest=0.1, futile=0.85, growth=0.005, bearable=1.0, kink=0.1, gain=100.0, kinked=1.5
-)
 
 
 @dataclass(frozen=True)
@@ -99,7 +70,8 @@ class Prover:
 
     decided(share) is called often, with a function that returns the share of the pieces at hand
     that is proved. to_corner: runs end as soon as they are in the next hall's frame, and are to
-    get there within the problem's steps. Raises disturbed.TooManyChoices.
+    get there within the problem's steps; wide: whether errors are followed and divided like start
+    positions, if that is not as the problem suggests. Raises disturbed.TooManyChoices.
     """
 
     def __init__(
@@ -110,8 +82,10 @@ class Prover:
         record: Record | None = None,
         decided: Callable[[Callable[[], float]], None] = lambda share: None,
         to_corner: bool = False,
+        wide: bool | None = None,
     ) -> None:
         self._problem = problem
+        self._wide = problem.wide if wide is None else wide
         self._to_corner = to_corner
         #: Rows that came into the next hall's frame, if the runs are to end there.
         self.arrived: list[Rows] = []
@@ -119,7 +93,7 @@ class Prover:
             noise=0.0, missing=0, turn_only=True, choice="run"
         )
         self._missing = disturbed.cases(problem.disturbance, problem.plant.lidar.rays)
-        self._policy = WIDE if problem.wide else NARROW
+        self._policy = WIDE if self._wide else NARROW
         self._wanted = wanted
         self._check = check
         self._record = record
@@ -134,7 +108,7 @@ class Prover:
         self._scanners = [by_shape[int(i)] for i in alike]
         # Frames are treated together if they agree in walls, advance and unsafe set.
         self._alike = alike * len(frames) + problem.safety.alike
-        self._divider = Divider(record, problem.wide)
+        self._divider = Divider(record, self._wide)
         self._carried = 0
         #: Seconds spent in enclosures of the network.
         self.network_time_s = 0.0
@@ -151,12 +125,12 @@ class Prover:
         divider, steps = self._divider, self._problem.steps
         divider.failed, divider.step, self.arrived = [], 0, []
         # Wide rows have as many as gathered ones.
-        self._carried = DIRECTIONS if self._problem.wide else 0
+        self._carried = KNOWN if self._wide else 0
         rows = start_rows(box, low, high, case, self._carried)
         rows = replace(rows, frame=np.full(len(low), frame))
         if self._record is not None:
             rows = replace(rows, node=self._record.roots(rows, low, high))
-        queue = Queue(rows, steps, BATCH, GATHER if self._problem.wide else 0)
+        queue = Queue(rows, steps, BATCH, GATHER if self._wide else 0)
         while queue:
             if (met := queue.together()) is not None:
                 queue.put(met[0], self._gather(*met))
@@ -185,18 +159,31 @@ class Prover:
             sum(map(len, leaves)),
         )
 
+    def _anew(self, rows: Rows) -> Rows:
+        """Describe rows anew, each by itself: their errors become first symbols."""
+        each, step = [rows.take(np.array([i])) for i in range(len(rows))], self._divider.step
+        return join([self._noted(row, step, gathered(row, self._symbols).rows) for row in each])
+
+    @property
+    def _symbols(self) -> int:
+        """Error symbols of a row between steps."""
+        return self._carried + len(ACTIVE)
+
+    def _noted(self, some: Rows, step: int, whole: Rows) -> Rows:
+        if self._record is None:
+            return whole
+        return replace(whole, node=self._record.gathered(some, step, whole))
+
     def _gather(self, step: int, rows: Rows) -> Rows:
         """Put rows together that have grown together."""
 
         def note(some: Rows, whole: Rows) -> Rows:
-            if self._record is None:
-                return whole
-            return replace(whole, node=self._record.gathered(some, step, whole))
+            return self._noted(some, step, whole)
 
         done: list[Rows] = []
         for frame, case in sorted(set(zip(rows.frame.tolist(), rows.case.tolist(), strict=True))):
             mine = rows.take((rows.frame == frame) & (rows.case == case))
-            done += gather(mine, DIRECTIONS + len(ACTIVE), note)
+            done += gather(mine, self._symbols, note)
         return join(done)
 
     def _step(self, rows: Rows, tolerance: float) -> Rows:
@@ -236,7 +223,6 @@ class Prover:
     def _attempt(self, rows: Rows, tolerance: float) -> tuple[list[Rows], Rows]:
         """Return rows that do the step again, and rows that have done it."""
         frame, divider, policy = int(rows.frame[0]), self._divider, self._policy
-        problem = self._problem
         came = total_error(rows.state)
         kink = max(0.1 * tolerance, policy.kink * float(came.max()))
         scan = self._scanners[frame].measure(rows, kink)
@@ -248,36 +234,36 @@ class Prover:
         clear = np.flatnonzero(~blocked)
         if not clear.size:
             return again, rows.take(clear)
-        rows, came = rows.take(clear), came[clear]
+        rows, came, inside = rows.take(clear), came[clear], region.inside[clear]
         with np.errstate(invalid="ignore", over="ignore"):  # rows too wide; sorted out below
             distance = scan.distance[:, clear]
             began = time.perf_counter()
-            steering = self._steering(rows, distance, region.inside[clear])
+            steering = self._steering(rows, distance, inside)
             self.network_time_s += time.perf_counter() - began
             path = self._drive(rows, steering)
         error = new_error(path.state)
         error = np.where(np.isfinite(error), error, np.inf)
         # Splitting does not help where the errors are wider than the piece.
-        dominated = (came > 0.5 * extent(rows.state)) & (not self._problem.wide)
+        dominated = (came > 0.5 * extent(rows.state)) & (not self._wide)
         kinks = np.minimum(policy.gain * rows.kink, policy.kinked * came)
         # What noise does in this step: symbols that the state did not come with.
         pushed = norm(path.state.c[len(rows.state.c) :]).max(axis=0)
-        fine = error <= tolerance + kinks + policy.growth * came
+        fine = error <= tolerance + kinks + policy.growth * came + policy.push * pushed
         # Errors that are there anyway are borne, unless they are worse than all before.
         most = policy.bearable * (came + pushed)
-        bearable = np.isfinite(error) & ((error <= most) | (not problem.wide))
+        bearable = np.isfinite(error) & ((error <= most) | (not self._wide))
         futile = bearable & ((error > policy.futile * rows.tried) | (error <= BORNE * rows.borne))
-        fine |= futile | (np.isfinite(error) & dominated)
+        forced = np.isinf(rows.kink)
+        fine |= futile | (np.isfinite(error) & (dominated | forced))
         least = np.full(len(rows), -np.inf)
         clear = np.flatnonzero(fine)
         unsafe = self._problem.safety.unsafe[frame]
         least[clear] = least_margin(path.take(clear), unsafe, self._wanted)
         good = fine & (least > 0)
-        lost = dominated & ~good
+        lost = (dominated | forced) & ~good
         divider.give_up(rows.take(lost))
         retry = np.flatnonzero(~good & ~lost)
-        along = sharpest(distance[:, retry])
-        again += divider.halve(replace(rows.take(retry), tried=error[retry]), along)
+        again += self._finer(rows.take(retry), distance[:, retry], inside[retry], error[retry])
         rows = replace(rows, borne=np.where(futile, error, 0.0))
         return again, self._after(rows.take(good), path.state[:, np.flatnonzero(good)], least[good])
 
@@ -296,9 +282,26 @@ class Prover:
         if given.missing:
             gone = self._missing[rows.case].T & inside[None, :]
             distance = disturbed.without(distance, gone, reach)
-        if self._problem.wide:
+        if self._wide:
             return disturbed.steering_apart(self._network, distance, given.noise)
         return self._network.steering(distance)
+
+    def _finer(
+        self, rows: Rows, distance: Models, inside: NDArray[np.bool_], error: Array
+    ) -> list[Rows]:
+        """Return rows in place of those whose step errs by too much: halves, or the same anew."""
+        divider, along = self._divider, sharpest(distance)
+        if not self._wide or not len(rows):
+            return divider.halve(replace(rows, tried=error), along)
+        # Either the symbol by which the scan is known least, or x, whichever helps the network;
+        # if the last of these halves did not help, the widest.
+        halves = [shrunk(distance, a) for a in (np.zeros_like(along), along)]
+        left = [self._steering(rows, half, inside).radius for half in halves]
+        along = np.where(left[0] < left[1], 0, along)
+        along = np.where(error > self._policy.futile * rows.tried, widest(rows), along)
+        old = stale(rows.state) & np.array([not d for d in rows.decisions])
+        finer = divider.halve(replace(rows.take(~old), tried=error[~old]), along[~old])
+        return [*finer, *([self._anew(rows.take(old))] if old.any() else [])]
 
     def _drive(self, rows: Rows, steering: Models) -> Path:
         """Return the path; the steering may have symbols that the state lacks."""
@@ -314,8 +317,8 @@ class Prover:
         divider, count = self._divider, len(rows)
         if not count:
             return rows
-        kinked = (rows.kink > 0) & (not self._problem.wide)
-        slack = np.where(kinked, KINK_SLACK, SLACK)
+        kinked = (rows.kink > 0) & (not self._wide)
+        slack = np.where(kinked, KINK_SLACK, self._policy.slack)
         state = Models(state.c, state.radius * slack + TAIL)
         rows = replace(
             rows,

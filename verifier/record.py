@@ -138,9 +138,10 @@ class Record:
         missing: NDArray[np.bool_],
     ) -> Certificate:  # fmt: skip
         """Return what was recorded as a certificate; margin (m): claimed; missing: the cases."""
+        symbols = max(chunk["spread"].shape[2] for chunk in self._chunks)
+        chunks = [_padded(chunk, symbols) for chunk in self._chunks]
         arrays: dict[str, Any] = {
-            name: np.concatenate([chunk[name] for chunk in self._chunks])
-            for name in self._chunks[0]
+            name: np.concatenate([chunk[name] for chunk in chunks]) for name in chunks[0]
         }
         elsewhere = np.zeros(self._count, dtype=bool)
         for nodes in self._elsewhere:
@@ -166,6 +167,18 @@ class Record:
             missing=missing,
             **arrays,
         )
+
+
+def _padded(chunk: dict[str, Any], symbols: int) -> dict[str, Any]:
+    """Return rows with so many symbols: the new ones, which come first, do nothing."""
+    more = symbols - chunk["spread"].shape[2]
+    piece, count = chunk["piece"], len(chunk["piece"])
+    whole = np.tile([-1.0, 1.0], (count, more, 1))
+    return {
+        **chunk,
+        "spread": np.concatenate([np.zeros((count, 4, more, 2)), chunk["spread"]], axis=2),
+        "piece": np.concatenate([piece[:, :1], whole, piece[:, 1:]], axis=1),
+    }
 
 
 def _pruned(arrays: dict[str, Any]) -> dict[str, Any]:

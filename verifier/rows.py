@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from verifier.arithmetic import BASE, KNOWN, PAIRS
 from verifier.models import TERMS, Array, Models, norm, substitute
 from verifier.rounding import TINY, UP, gamma
 
@@ -124,14 +125,33 @@ class Rows:
     def narrow(self, symbol: NDArray[np.intp], low: Array, high: Array) -> Rows:
         """Return the rows with one error symbol each (``[rows]``) kept within [low, high]."""
         middle, half = middle_half(low, high)
-        c, each = self.state.c.copy(), np.arange(len(self))
-        for k in (0, 1):
-            place = TERMS + 2 * symbol + k
-            c[k] += (c[place, :, each] * middle[:, None]).T
-            c[place, :, each] *= half[:, None]
-        # A product and a sum more in two coefficients, a product in two.
-        radius = (self.state.radius + gamma(3) * norm(self.state.c)) * UP + TINY
+        c = self.state.c.copy()
+        for j in np.unique(symbol):
+            some = np.flatnonzero(symbol == j)
+            c[..., some] = _narrowed(c[..., some], int(j), middle[some], half[some])
+        # No coefficient is a sum of more than 8 products, of factors that add up to 4 at most.
+        radius = (self.state.radius + 4 * gamma(10) * norm(self.state.c)) * UP + TINY
         return replace(self, state=Models(c, radius), splits=self.splits + 1)
+
+
+def _narrowed(c: Array, symbol: int, middle: Array, half: Array) -> Array:
+    """Return coefficients in e' where e = middle + half e' for one symbol; never for a product."""
+    c, count = c.copy(), (len(c) - TERMS) // 2
+    for k in (0, 1):  # what is constant, and what goes with x
+        place = [TERMS + 2 * j + k for j in range(count)]
+        c[k] += c[place[symbol]] * middle
+        if count >= KNOWN:
+            for pair, (i, j) in enumerate(PAIRS, BASE):
+                product = c[place[pair]]
+                if i == j == symbol:  # 2 e^2 - 1
+                    c[k] += product * (2 * middle**2 + half**2 - 1)
+                    c[place[i]] += product * (4 * middle)
+                    c[place[pair]] = product * half**2
+                elif symbol in {i, j}:
+                    c[place[i + j - symbol]] += product * middle
+                    c[place[pair]] = product * half
+        c[place[symbol]] *= half
+    return c
 
 
 def middle_half(low: Array, high: Array) -> tuple[Array, Array]:

@@ -28,7 +28,7 @@ from verifier.kinks import Bends, Kinks, bends
 from verifier.models import TERMS, Array, Models
 from verifier.rounding import UP, U
 from verifier.rows import Assumption, Decision, Rows
-from verifier.walls import NEAREST, RANGE, Faces, Index, Obstacles, Walls, grid
+from verifier.walls import RANGE, Faces, Index, Obstacles, Walls, grid
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,8 @@ class Scanner:
         faces = self._obstacles.within(rows.state, self._reach)
         meaning = _meaning(faces)
         walls = Walls(faces, rows.state)
-        choice = choose(walls, meaning, self._directions, self._reach, rows.decisions)
+        forced = np.isinf(rows.kink)
+        choice = choose(walls, meaning, self._directions, self._reach, rows.decisions, forced)
         guards, bent = self._guards(walls, meaning, choice, np.maximum(rows.kink, kink))
         return Scan(self._distances(walls, choice.winner, bent), guards, choice.unclear)
 
@@ -141,7 +142,7 @@ class Scanner:
             for i in wall:
                 if i == k:
                     continue
-                if walls.low[i, place % walls.rows] > NEAREST:
+                if walls.usable[i, place % walls.rows]:
                     asked.append((n, meaning.codes.nearer(i, k)))
                 else:
                     asked.append((n, meaning.codes.passes(*meaning.cross_of[k, i])))
@@ -183,7 +184,7 @@ class Scanner:
             if early not in wall:
                 continue
             for k in wall:
-                if k not in {late, early} and not walls.low[k, row[n]] > NEAREST:
+                if k not in {late, early} and not walls.usable[k, row[n]]:
                     pair, positive = meaning.cross_of[late, k]
                     asked.append((n, meaning.codes.passes(pair, positive)))
         leave = np.zeros(len(code), dtype=bool)

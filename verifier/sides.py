@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verifier.cuts import parts
-from verifier.models import TERMS, Array, Models, norm
+from verifier.models import TERMS, Array, Models, cuttable, norm
 
 #: Remainders of guards are taken this much larger, so that a checker whose own are a little
 #: larger than ours agrees.
@@ -57,7 +57,7 @@ def sides(guards: Models, wide: bool) -> Sides:
     best = Sides(np.zeros(guards.radius.shape, dtype=np.intp), along_x.positive, along_x.negative)
     if not wide:
         return best
-    for symbol in range(guards.symbols):
+    for symbol in cuttable(guards.symbols):
         along = _along(guards, symbol)
         better = along.larger < best.larger
         best = Sides(

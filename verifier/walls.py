@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,9 @@ from verifier.rows import THETA, F, S
 
 Index = NDArray[np.intp]
 
-#: A face that the car may be nearer to than this (metres) is not divided by.
-NEAREST = 0.02
+#: A face that the car may be nearer to than this (metres) is divided by only if its distance is
+#: known to within a factor of 2, and never below NEAREST.
+NEAR, NEAREST = 0.02, 1e-4
 #: Where error symbols (m, rad) exceed this, series of first order in them are not best any more.
 WIDE = 1e-4
 #: Stands for the range instead of a face: u = 1 / range.
@@ -132,6 +134,11 @@ class Obstacles:
         return self._known[key]
 
 
+def usable(low: Any, high: Any) -> Any:
+    """Tell which faces are divided by, from bounds of g (numbers, arrays or Values)."""
+    return (low > NEAR) | ((low > NEAREST) & (2.0 * low > high))
+
+
 @lru_cache(maxsize=256)
 def grid(outer: int, inner: int) -> tuple[Index, Index]:
     """Return the outer and the inner place of each place of a flat ``[outer, inner]``."""
@@ -145,7 +152,8 @@ class Walls:
     """The table of all entries of ``faces``, for rows.
 
     wide: whether the rows' errors are; table: ``[2 width, entries x rows]``, width = a model's
-    coefficients and radius; low, high: ``[faces, rows]`` bounds of g; miss_centre: ``[faces,
+    coefficients and radius; low, high: ``[faces, rows]`` bounds of g; usable: ``[faces, rows]``,
+    whether u has a meaning; miss_centre: ``[faces,
     rows]`` g at x = 0.
     """
 
@@ -164,11 +172,12 @@ class Walls:
         misses = seen[2 * width : 3 * width]
         _ratios(m)(
             count * rows,
-            [seen[: 2 * width], misses, seen[3 * width : 3 * width + 1]],
+            [seen[: 2 * width], misses, seen[3 * width : 3 * width + 2]],
             out=self._block(faces.ratios, count),
         )
         self.low = seen[3 * width].reshape(count, rows)
         self.high = seen[3 * width + 1].reshape(count, rows)
+        self.usable = usable(self.low, self.high)
         self.miss_centre = misses[0].reshape(count, rows)
         self._differences()
         self._crosses(misses)
@@ -228,9 +237,9 @@ def _ratios(trace: Trace, symbols: int) -> list[Value]:
     """Ratios (A, B) of rates and the miss; of no meaning where the face is not usable."""
     ahead, across = read_joined(trace, symbols, 2)
     (miss,) = read_joined(trace, symbols, 1)
-    usable = trace.column() > NEAREST
-    first = where(usable, miss.c[0], 1.0)
-    rest = [where(usable, x, 0.0) for x in miss.values[1:]]
+    divided = usable(*trace.table(2))
+    first = where(divided, miss.c[0], 1.0)
+    rest = [where(divided, x, 0.0) for x in miss.values[1:]]
     inverse = reciprocal(Model([first, *rest[:-1]], rest[-1]))
     return [*(ahead * inverse).values, *(across * inverse).values]
 

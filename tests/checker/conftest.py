@@ -54,3 +54,14 @@ def missing(tmp_path_factory) -> Proof:
         folder / "i.json", base, initial_set=start, steps=2, disturbance=fault
     )
     return proved(instance, folder, "c")
+
+
+@pytest.fixture(scope="session")
+def noisy(tmp_path_factory) -> Proof:
+    """Five steps with noise at full speed: symbols with products, rows described anew."""
+    folder = tmp_path_factory.mktemp("noisy")
+    start = {"s": [0.735, 0.765], "f": [4.0, 4.0], "v": [2.3, 2.35]}
+    fault = {"noise": 0.002, "missing": 0, "turn_only": True, "choice": "run"}
+    base = "TD3_L21_64x64_C1.quick.straight05.clearance"
+    instance = write_instance(folder / "i.json", base, initial_set=start, disturbance=fault)
+    return proved(instance, folder, "c")

@@ -9,10 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from checker import models
-from checker.models import TERMS, UNIT, Model
+from checker.models import BASE, KNOWN, PAIRS, TERMS, UNIT, Model, symbols
 
-SYMBOLS = 2
 SEEDS = st.integers(0, 2**32)
+#: Without products of symbols, and with them.
+SYMBOLS = st.sampled_from([2, KNOWN + 2])
 FUNCTIONS = {
     "tanh": (models.tanh, lambda y: y.tanh(), 2.0),
     "sigmoid": (models.sigmoid, lambda y: 1 / (1 + (-y).exp()), 3.0),
@@ -26,26 +27,31 @@ FUNCTIONS = {
 }
 
 
-def some(random: np.random.Generator, centre: float, size: float) -> Model:
+def some(random: np.random.Generator, centre: float, size: float, count: int = 2) -> Model:
     """Return a model with coefficients of up to ``size``, falling with their order."""
     p = [size * random.uniform(-1, 1) * 0.5**k for k in range(TERMS)]
     p[0] = random.uniform(-centre, centre)
-    e = size * random.uniform(-0.3, 0.3, 2 * SYMBOLS)
+    e = size * random.uniform(-0.3, 0.3, 2 * count) * min(1.0, 4 / count)
     return [*map(arb, p), *map(arb, e.tolist()), arb(0.1 * size * random.uniform()) * UNIT]
 
 
 def member(z: Model, x: float, e: np.ndarray, rest: float) -> arb:
     """Return the value of a model at a place, with a share of its rest (of at most 1)."""
     total = sum((c * arb(x) ** k for k, c in enumerate(z[:TERMS])), z[-1].rad() * rest)
-    for j in range(SYMBOLS):
-        total += (z[TERMS + j] + z[TERMS + SYMBOLS + j] * arb(x)) * arb(float(e[j]))
+    count = symbols(z)
+    for j in range(count):
+        total += (z[TERMS + j] + z[TERMS + count + j] * arb(x)) * arb(float(e[j]))
     return total
 
 
-def places(random: np.random.Generator):
+def places(random: np.random.Generator, count: int = 2):
+    """Yield places x, e, rest; products of symbols are what they have to be, exactly."""
     for k in range(12):
         x = float([-1, 1, 0][k]) if k < 3 else random.uniform(-1, 1)
-        yield x, random.choice([-1.0, 1.0, 0.3], SYMBOLS), random.choice([-1.0, 1.0])
+        e = random.choice([-1.0, 1.0, 0.25], count)
+        if count >= KNOWN:
+            e[BASE:KNOWN] = [e[i] * e[j] if i != j else 2 * e[i] ** 2 - 1 for i, j in PAIRS]
+        yield x, e, random.choice([-1.0, 1.0])
 
 
 def filled(z: Model, value: arb, x: float, e: np.ndarray) -> float:
@@ -55,13 +61,13 @@ def filled(z: Model, value: arb, x: float, e: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-@given(SEEDS, st.sampled_from([0.3, 0.1, 1e-3, 1e-9]))
-def test_functions_contain_their_values(name, seed, size):
+@given(SEEDS, st.sampled_from([0.3, 0.1, 1e-3, 1e-9]), SYMBOLS)
+def test_functions_contain_their_values(name, seed, size, count):
     random = np.random.default_rng(seed)
     function, exact, centre = FUNCTIONS[name]
-    z = some(random, centre, size)
+    z = some(random, centre, size, count)
     y = function(z)
-    for x, e, rest in places(random):
+    for x, e, rest in places(random, count):
         assert filled(y, exact(member(z, x, e, rest)), x, e) <= 1
 
 
@@ -82,10 +88,10 @@ def test_functions_are_tight(name):
     assert 0.5 < most <= 1
 
 
-@given(SEEDS, st.sampled_from([1.0, 1e-3]))
-def test_sums_products_and_multiples_contain_their_values(seed, size):
+@given(SEEDS, st.sampled_from([1.0, 1e-3]), SYMBOLS)
+def test_sums_products_and_multiples_contain_their_values(seed, size, count):
     random = np.random.default_rng(seed)
-    z, w = some(random, 2.0, size), some(random, 2.0, size)
+    z, w = some(random, 2.0, size, count), some(random, 2.0, size, count)
     factor = arb(random.uniform(-2, 2))
     near = models.add(z, models.scale(w, arb(1) / 100))
     results = [
@@ -99,7 +105,7 @@ def test_sums_products_and_multiples_contain_their_values(seed, size):
         (models.maximum(z, near), lambda p, q: p.max(p + q / 100)),
         (models.minimum(z, near), lambda p, q: p.min(p + q / 100)),
     ]
-    for x, e, rest in places(random):
+    for x, e, rest in places(random, count):
         p, q = member(z, x, e, rest), member(w, x, e, -rest)
         for y, exact in results:
             assert filled(y, exact(p, q), x, e) <= 1
@@ -121,7 +127,7 @@ def test_readings_contain_their_values(seed, size):
 
 def test_a_line_is_the_tighter_reading_near_the_range():
     """u = 0.2 +- 0.05 at a range of 5 m is a reading of 4 to 5 m: a line errs by 0.06 m there."""
-    z = [arb(0)] * (TERMS + 2 * SYMBOLS + 1)
+    z = [arb(0)] * (TERMS + 2 * 2 + 1)
     z[0], z[TERMS] = arb("0.2"), arb("0.05")
     y = models.inverse_from(z, arb("0.2"))
     a, b = 0.2, 0.25
@@ -147,18 +153,27 @@ def test_bounds_contain_and_nearly_touch_the_values(seed):
     b = models.bound(z)
     seen = [member(z, *place) for place in places(random)]
     assert all(b.contains(v) for v in seen)
-    assert float(b.rad()) < 2 * 0.1 * (2 + 2 * SYMBOLS * 0.3 + 0.1)
+    assert float(b.rad()) < 2 * 0.1 * (2 + 2 * 2 * 0.3 + 0.1)
 
 
-@given(SEEDS, st.integers(0, SYMBOLS))
-def test_a_part_has_the_values_of_the_whole_there(seed, parameter):
+@given(SEEDS, SYMBOLS, st.integers(0, KNOWN + 2))
+def test_a_part_has_the_values_of_the_whole_there(seed, count, parameter):
     random = np.random.default_rng(seed)
-    z = some(random, 1.0, 0.3)
+    z = some(random, 1.0, 0.3, count)
+    parameter %= count + 1
     low, high = sorted(random.uniform(-1, 1, 2).tolist())
+    if count >= KNOWN and BASE < parameter <= KNOWN:
+        with pytest.raises(ValueError, match="product"):
+            models.restrict(z, parameter, arb(low), arb(high))
+        return
     part = models.restrict(z, parameter, arb(low), arb(high))
-    for x, e, rest in places(random):
+    for x, e, rest in places(random, count):
         there, f = [x, *e], arb(low) + (arb(high) - arb(low)) * (arb([x, *e][parameter]) + 1) / 2
         there[parameter] = float(f.mid())
+        if count >= KNOWN:
+            known = there[1:]
+            products = [known[i] * known[j] if i != j else 2 * known[i] ** 2 - 1 for i, j in PAIRS]
+            there[1 + BASE : 1 + KNOWN] = products
         value = member(z, there[0], np.array(there[1:]), rest)
         assert abs(value - member(part, x, e, rest)) < 1e-14
 

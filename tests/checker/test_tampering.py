@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from checker.files import Unreadable, read_certificate, read_instance
+from checker.models import BASE, KNOWN
 from verifier.certificate import (
     ADVANCE,
     CROSS,
@@ -42,10 +43,10 @@ def around(cert: Certificate, row: int) -> list[int]:
     return [row, *([parent] if parent >= 0 else []), *near.tolist()]
 
 
-@pytest.mark.parametrize("name", ["turn", "drive", "missing", "heap"])
+@pytest.mark.parametrize("name", ["turn", "drive", "missing", "heap", "noisy"])
 def test_certificates_of_the_verifier_are_accepted(request, name):
     proof = request.getfixturevalue(name)
-    rows = None if name in {"turn", "heap"} else list(range(0, len(proof.certificate), 7))
+    rows = None if name in {"turn", "heap", "noisy"} else list(range(0, len(proof.certificate), 7))
     assert proof.fault(proof.certificate, rows) == ""
 
 
@@ -399,3 +400,44 @@ def test_files_cut_short_are_unreadable(turn: Proof, tmp_path):
         (tmp_path / "c.h5").write_bytes(content[:size])
         with pytest.raises(Unreadable):
             read_certificate(tmp_path / "c.h5")
+
+
+@SOME
+@given(ROWS, st.integers(0, 3), st.integers(BASE, KNOWN - 1))
+def test_symbols_that_are_products_are_no_symbols_of_their_own(noisy: Proof, number, place, symbol):
+    """Of roots and gathered rows: nothing would say that their members are products."""
+    cert = noisy.certificate
+    row = pick(cert, cert.parent < 0, number)
+    spread = cert.spread[row].copy()
+    spread[place, symbol, 0] = 1e-3
+    assert "products" in noisy.fault(changed(cert, row, spread=spread), [])
+
+
+@SOME
+@given(ROWS, st.integers(BASE, KNOWN - 1))
+def test_a_changed_product_is_noticed(noisy: Proof, number, symbol):
+    cert = noisy.certificate
+    row = pick(cert, cert.kind == IMAGE, number)
+    spread = cert.spread[row].copy()
+    spread[0, symbol, 0] += 0.1
+    assert noisy.fault(changed(cert, row, spread=spread), around(cert, row))
+
+
+def test_a_product_is_not_divided(noisy: Proof):
+    cert = noisy.certificate
+    row = pick(cert, cert.kind == PART, 0)
+    piece = cert.piece[row].copy()
+    piece[:] = [-1.0, 1.0]
+    piece[1 + BASE] = [-1.0, 0.0]
+    assert noisy.fault(changed(cert, row, piece=piece), around(cert, row))
+
+
+def test_symbols_have_to_fit_the_instance(noisy: Proof):
+    """With fewer, symbols of readings would be taken for products."""
+    cert = noisy.certificate
+    few = replace(
+        cert,
+        spread=np.ascontiguousarray(cert.spread[:, :, -3:]),
+        piece=np.ascontiguousarray(np.concatenate([cert.piece[:, :1], cert.piece[:, -3:]], axis=1)),
+    )
+    assert "symbols" in noisy.fault(few, [])

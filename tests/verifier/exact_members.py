@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from verifier.arithmetic import BASE, KNOWN, PAIRS
 from verifier.models import TERMS, Models
 
 flint = pytest.importorskip("flint", reason="python-flint evaluates functions exactly")
@@ -27,13 +28,24 @@ class Place:
 
 
 def places(random: np.random.Generator, symbols: int) -> list[Place]:
-    """Return both ends and places between, errors at extreme signs first."""
+    """Return both ends and places between, errors at extreme signs first.
+
+    Products of symbols are what they have to be, exactly.
+    """
     found = [Place(x, random.choice([-1.0, 1.0], symbols)) for x in (-1.0, 1.0, 0.0)]
     found += [
-        Place(random.uniform(-1, 1), random.choice([-1.0, 1.0, 0.0, 0.3], symbols))
+        Place(random.uniform(-1, 1), random.choice([-1.0, 1.0, 0.0, 0.25], symbols))
         for _ in range(3)
     ]
+    if symbols >= KNOWN:
+        for place in found:
+            place.e[BASE:KNOWN] = products(place.e)
     return found
+
+
+def products(e: Sequence) -> list:
+    """Return 2 e_i^2 - 1 and e_i e_j of the first symbols."""
+    return [2 * e[i] * e[i] - 1 if i == j else e[i] * e[j] for i, j in PAIRS]
 
 
 def polynomial(models: Models, index: tuple[int, ...], place: Place) -> arb:

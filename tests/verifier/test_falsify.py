@@ -287,13 +287,13 @@ def test_what_is_found_is_allowed_and_replayed_to_the_same_margin(
     assert confirmed(question, RuntimeSteer(question.controller), worst) == unsafe
 
 
-def test_noise_of_a_centimetre_drives_a_trained_controller_into_the_corner(tmp_path):
-    """Undisturbed it keeps 2 cm more than it must; random noise hardly changes that."""
+def test_noise_of_four_centimetres_drives_a_trained_controller_into_the_corner(tmp_path):
+    """Undisturbed it keeps 3 cm more than it must; random noise leaves a third of that."""
     path = ROOT / "benchmarks/full_range/json/TD3_L21_64x64_C1.full_range.clearance.json"
-    question = replace(load_problem(path)[1], disturbance=disturbance(noise=0.01))
+    question = replace(load_problem(path)[1], disturbance=disturbance(noise=0.04))
     plant = question.plant
     starts = spread(question.lower, question.upper, 200, np.random.default_rng(0))
-    noise = np.random.default_rng(0).choice([-0.01, 0.01], (70, RAYS, 200))
+    noise = np.random.default_rng(0).choice([-0.04, 0.04], (70, RAYS, 200))
     by_chance = simulate(
         plant,
         question.controller.steering_rows,

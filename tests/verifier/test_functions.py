@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from verifier import functions as under_test
+from verifier.arithmetic import KNOWN
 from verifier.elementary import SIN_COS_RANGE
 from verifier.functions import reciprocal, relu, sigmoid, sine_cosine, tan, tanh
 from verifier.models import TERMS, Models
@@ -45,7 +46,8 @@ def sample(name: str, seed: int, width: float, error: float) -> float:
     function, exact, centres = FUNCTIONS[name]
     random = np.random.default_rng(seed)
     centre = random.choice(centres)
-    z = random_models(random, (ROWS,), width, 2, error, centre)
+    symbols = int(random.choice([2, KNOWN, KNOWN + 2]))
+    z = random_models(random, (ROWS,), width, symbols, error, centre)
     with np.errstate(invalid="ignore", over="ignore"):
         result = function(z)
     finite = np.isfinite(result.radius)
@@ -73,12 +75,17 @@ def scaled(monkeypatch, name: str, factor: float) -> None:
     """Make one of the bounds that a function's result is assembled from too small."""
     original = under_test._assemble
 
-    def assemble(z, value, slope, slope_size, slope_rest, curve_most, remainder, size):
-        given = {"curve": curve_most, "remainder": remainder, "rest": slope_rest, "size": size}
+    def assemble(
+        z, value, slope, slope_size, slope_rest, curve, curve_most, third_most, remainder, size
+    ):
+        given = {
+            "curve": curve_most, "third": third_most, "remainder": remainder, "rest": slope_rest,
+            "size": size,
+        }  # fmt: skip
         given[name] = given[name] * factor
         return original(
-            z, value, slope, slope_size, given["rest"], given["curve"], given["remainder"],
-            given["size"],
+            z, value, slope, slope_size, given["rest"], curve, given["curve"], given["third"],
+            given["remainder"], given["size"],
         )  # fmt: skip
 
     monkeypatch.setattr(under_test, "_assemble", assemble)
@@ -87,15 +94,18 @@ def scaled(monkeypatch, name: str, factor: float) -> None:
 def bound_of(name: str, part: str) -> tuple[Models, Models]:
     """Return arguments at which one part of the radius is nearly all of it, and the result.
 
-    remainder: a wide polynomial without errors; curve: one large error on a constant.
+    remainder: a wide polynomial without errors; curve: one large error on a constant; third: the
+    same where its square is known.
     """
     function, _, _ = FUNCTIONS[name]
     centre = {"tanh": 0.65, "sin": 1.57, "cos": 0.0, "tan": 0.4, "reciprocal": 0.7}[name]
-    c = np.zeros((TERMS + 2, ROWS))
+    if (name, part) == ("tanh", "third"):
+        centre = 0.0
+    c = np.zeros((TERMS + 2 * (KNOWN if part == "third" else 1), ROWS))
     c[0] = centre
     if part == "remainder":
         c[1] = [0.2, 0.1, -0.2, 0.05]
-    elif part == "curve":
+    elif part in {"curve", "third"}:
         c[TERMS] = [0.1, 0.03, 0.01, 1e-3]
     elif part == "rest":
         # The part of slope(x) error beyond the linear one: x^2 times the error.
@@ -108,7 +118,9 @@ def bound_of(name: str, part: str) -> tuple[Models, Models]:
     ("name", "part"),
     # cos(0.2 x) has an odd remainder of order 7: a tenth of its bound is not reached.
     [(n, "remainder") for n in ("tanh", "sin", "tan", "reciprocal")]
-    + [(n, "curve") for n in ("tanh", "sin", "cos", "tan", "reciprocal")],
+    + [(n, "curve") for n in ("tanh", "sin", "cos", "tan", "reciprocal")]
+    # sin has none at its top, nor cos.
+    + [(n, "third") for n in ("tanh", "tan", "reciprocal")],
 )
 def test_the_check_sees_a_bound_ten_times_too_small(monkeypatch, name, part):
     random, exact = np.random.default_rng(0), FUNCTIONS[name][1]

@@ -7,13 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from enclosed import rows_of
-from exact_members import OWN_ROUNDING, Place, arb, excess, member, places, random_models
+from exact_members import (
+    OWN_ROUNDING,
+    Place,
+    arb,
+    excess,
+    member,
+    places,
+    products,
+    random_models,
+)  # fmt: skip
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from verifier import rows as under_test
+from verifier.arithmetic import BASE, KNOWN
 from verifier.cuts import parts
-from verifier.models import TERMS, Models, error_spread
+from verifier.models import TERMS, Models, cuttable, error_spread
 from verifier.problem import Box, start_rows
 from verifier.proof import GAP, uncovered
 from verifier.rounding import U
@@ -87,9 +97,10 @@ def test_the_check_sees_pieces_that_do_not_grow_with_their_rows():
 
 def narrowed(random: np.random.Generator, error: float) -> list[float]:
     """Return by how much members, at their new places, exceed rows narrowed along a symbol."""
-    state = random_models(random, (4, ROWS), 0.1, 3, error)
+    symbols = int(random.choice([3, KNOWN + 3]))
+    state = random_models(random, (4, ROWS), 0.1, symbols, error)
     rows = rows_of(state)
-    symbol = random.integers(0, 3, ROWS)
+    symbol = random.choice(cuttable(symbols), ROWS)
     low, high = inner(random, ROWS)
     result = rows.narrow(symbol, low, high)
     assert (result.splits == rows.splits + 1).all()
@@ -98,7 +109,7 @@ def narrowed(random: np.random.Generator, error: float) -> list[float]:
     middle, half = under_test.middle_half(low, high)
     found = []
     for row in range(ROWS):
-        for place in places(random, 3):
+        for place in places(random, symbols):
             for end in (low[row], high[row], low[row] + 0.3 * (high[row] - low[row])):
                 before = [arb(float(e)) for e in place.e]
                 before[symbol[row]] = arb(float(end))
@@ -107,6 +118,8 @@ def narrowed(random: np.random.Generator, error: float) -> list[float]:
                     float(half[row])
                 )
                 assert abs(after[symbol[row]]) <= 1
+                if symbols >= KNOWN:
+                    before[BASE:KNOWN], after[BASE:KNOWN] = products(before), products(after)
                 for i in range(4):
                     value = held(state, i, row, place.x, before) + arb(float(state.radius[i, row]))
                     off = abs(value - held(result.state, i, row, place.x, after))

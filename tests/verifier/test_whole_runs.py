@@ -206,8 +206,11 @@ def test_the_comparison_sees_missing_remainders(coarse, monkeypatch):
     assert not any(fails(seed) for seed in (1, 2))
     original = functions._assemble
 
-    def assemble(z, value, slope, slope_size, slope_rest, curve_most, remainder, size):
-        return original(z, value, slope, slope_size, 0 * slope_rest, 0.0, 0 * remainder, size)
+    def assemble(
+        z, value, slope, slope_size, slope_rest, curve, curve_most, third_most, remainder, size
+    ):
+        rest, remainder = 0 * slope_rest, 0 * remainder
+        return original(z, value, slope, slope_size, rest, curve, 0.0, 0.0, remainder, size)
 
     monkeypatch.setattr(functions, "_assemble", assemble)
     assert any(fails(seed) for seed in (1, 2))
@@ -257,10 +260,10 @@ def noise_of(noise: float) -> Disturbance:
     return Disturbance(noise=noise, missing=0, turn_only=True, choice="run")
 
 
-@pytest.mark.parametrize("loose", [False, True])
-def test_noisy_runs_around_a_corner_and_into_the_next_hall(loose):
+@pytest.mark.parametrize(("loose", "width", "noise"), [(False, 0.03, 0.004), (True, 0.03, 0.002)])
+def test_noisy_runs_around_a_corner_and_into_the_next_hall(loose, width, noise):
     """Random and bang-bang noise; rows are divided along symbols, and gathered again."""
-    problem = disturbed_question([0.02, 0, 0, 0], noise_of(0.002), 28)
+    problem = disturbed_question([width, 0, 0, 0], noise_of(noise), 28)
     with pytest.MonkeyPatch.context() as patch:
         if loose:
             patch.setattr(proof, "WIDE", replace(proof.WIDE, growth=0.05, kink=0.3))
@@ -340,7 +343,7 @@ def test_the_comparison_sees_missing_rays_that_are_not():
 
 
 def test_the_comparison_sees_gathered_rows_that_are_too_small():
-    problem = disturbed_question([0.02, 0, 0, 0], noise_of(0.002), 24)
+    problem = disturbed_question([0.03, 0, 0, 0], noise_of(0.004), 24)
     original = gather.gathered
 
     def smaller(rows: Rows, symbols: int) -> gather.Gathered:
@@ -352,5 +355,6 @@ def test_the_comparison_sees_gathered_rows_that_are_too_small():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gather, "gathered", smaller)
+        patch.setattr(proof, "gathered", smaller)
         with pytest.raises(AssertionError):
             disturbed_runs(problem)
