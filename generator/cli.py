@@ -12,6 +12,7 @@ from rich.table import Table
 
 from generator.categories import CATEGORIES
 from generator.emit import build, category_folders, load_controllers
+from generator.export_command import export
 from generator.hyperparams import load_hyperparameters
 from generator.instance_command import instance
 from generator.progress import progress_bar
@@ -133,6 +134,7 @@ def import_yaml_command(file: Path, output: Path, name: str | None, as_json: boo
 
 
 main.add_command(instance)
+main.add_command(export)
 
 
 @main.command()
