@@ -87,7 +87,7 @@ _QUICK = (
     _quick(_DDPG, "late", ("0.74", "0.76"), front="1.2", speed="2.4", steps=20, safety="hscc20"),
     # Most starts go well and a few do not; in the last, only between control instants.
     _quick(_DDPG, "swerve", _RANGE, speed="2.4", heading="40", steps=20),
-    _quick(_TD3, "swerve", _RANGE, front="1.7", speed="2.4", heading="-40", steps=20),
+    _quick(_TD3, "swerve", _RANGE, front="1.7", speed="2.4", heading="-40"),
 )
 
 CATEGORIES = {
