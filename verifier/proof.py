@@ -22,7 +22,7 @@ from verifier.elementary import SIN_COS_RANGE
 from verifier.gather import gather, gathered, stale
 from verifier.lohner import consolidate
 from verifier.models import Array, Models, norm
-from verifier.motion import Motion, Path, extent, new_error, total_error
+from verifier.motion import Motion, extent, new_error, total_error
 from verifier.network import Network
 from verifier.policy import NARROW, WIDE
 from verifier.problem import ACTIVE, Box, Problem, start_rows
@@ -240,7 +240,7 @@ class Prover:
             began = time.perf_counter()
             steering = self._steering(rows, distance, inside)
             self.network_time_s += time.perf_counter() - began
-            path = self._drive(rows, steering)
+            path = self._motion.drive(rows.state, steering)
         error = new_error(path.state)
         error = np.where(np.isfinite(error), error, np.inf)
         # Splitting does not help where the errors are wider than the piece.
@@ -302,15 +302,6 @@ class Prover:
         old = stale(rows.state) & np.array([not d for d in rows.decisions])
         finer = divider.halve(replace(rows.take(~old), tried=error[~old]), along[~old])
         return [*finer, *([self._anew(rows.take(old))] if old.any() else [])]
-
-    def _drive(self, rows: Rows, steering: Models) -> Path:
-        """Return the path; the steering may have symbols that the state lacks."""
-        state, more = rows.state, len(steering.c) - len(rows.state.c)
-        if more:
-            state = Models(
-                np.concatenate([state.c, np.zeros((more, *state.c.shape[1:]))]), state.radius
-            )
-        return self._motion.drive(state, steering)
 
     def _after(self, rows: Rows, state: Models, least: Array) -> Rows:
         """Return the rows that have done the step, in the frames that they are in now."""
