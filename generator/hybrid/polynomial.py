@@ -24,18 +24,15 @@ import numpy as np
 
 from generator.hybrid.automaton import Assignment, Automaton, Constraint, Mode, StateVariable
 from generator.hybrid.build import build
-from generator.hybrid.dialect import Row, Sight, V
+from generator.hybrid.dialect import V
 from generator.hybrid.expression import Expression, Variable, constant, variables
+from generator.hybrid.fraction import COS, DEN, NUM, SIN, FractionRays
 from generator.hybrid.native import layer_sums
 from generator.hybrid.steps import Branch, Step
 from racecar.controller import Controller
 from racecar.errors import BadInput
 from racecar.instance import Instance
 
-COS, SIN = Variable("ct"), Variable("st")
-#: Of the ray at work: cosine and sine of its fixed angle; it reads NUM / DEN so far.
-AIM_COS, AIM_SIN = Variable("ca"), Variable("sa")
-NUM, DEN = Variable("num"), Variable("den")
 #: Inverse of the wheelbase; the value of the tan flow and then the curvature of the path.
 INVERSE, CURVATURE = Variable("iw"), Variable("w")
 #: The slip: rear part of the wheelbase times curvature, and cosine and sine of the angle.
@@ -51,11 +48,9 @@ def polynomial_automaton(instance: Instance, controller: Controller) -> Automato
     return build(instance, controller, _Polynomial(instance, controller))
 
 
-class _Polynomial:
+class _Polynomial(FractionRays):
     def __init__(self, instance: Instance, controller: Controller) -> None:
-        self.plant = instance.plant
-        angles = instance.make_plant().lidar.angles
-        self.directions = list(zip(np.cos(angles).tolist(), np.sin(angles).tolist(), strict=True))
+        super().__init__(instance)
         self.layers, self.rays = controller.layers, controller.rays
         width = max(self.rays, *(len(layer.biases) for layer in self.layers))
         self.operands = [f"z{j}" for j in range(1, width + 1)]
@@ -70,12 +65,7 @@ class _Polynomial:
             StateVariable("iw", "inverse of the wheelbase, from the initial mode on", "1/m"),
             StateVariable("w", "tangent of the steering angle, then the path's curvature", "1/m"),
         ]
-        found += [
-            StateVariable("ca", "cosine of the angle of the ray at work"),
-            StateVariable("sa", "sine of the angle of the ray at work"),
-            StateVariable("num", "the ray at work reads num / den so far", "m"),
-            StateVariable("den", "the ray at work reads num / den so far"),
-        ]
+        found += self.ray_variables()
         if self.plant.bicycle.slip:
             found += [
                 StateVariable("m", "tangent of the slip angle"),
@@ -112,24 +102,6 @@ class _Polynomial:
 
     def settle(self) -> list[Step]:
         return []
-
-    def sight(self) -> Sight:
-        return Sight(SIN * AIM_COS + COS * AIM_SIN, COS * AIM_COS - SIN * AIM_SIN)
-
-    def aim(self, ray: int) -> list[Assignment]:
-        cosine, sine = self.directions[ray - 1]
-        return [
-            Assignment("ca", constant(cosine)),
-            Assignment("sa", constant(sine)),
-            Assignment("num", constant(self.plant.lidar.range)),
-            Assignment("den", constant(1.0)),
-        ]
-
-    def nearer(self, sight: Sight, row: Row) -> Constraint:
-        return Constraint(sight.gap(row) * DEN - sight.approach(row) * NUM, "<=", 0.0)
-
-    def hit(self, sight: Sight, row: Row) -> list[Assignment]:
-        return [Assignment("num", sight.gap(row)), Assignment("den", sight.approach(row))]
 
     def keep(self, ray: int) -> list[Assignment]:
         return [

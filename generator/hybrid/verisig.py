@@ -13,11 +13,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
-from generator.hybrid.automaton import Assignment, Automaton, Constraint, Mode, StateVariable
+from generator.hybrid.automaton import Assignment, Automaton, Mode, StateVariable
 from generator.hybrid.build import build
-from generator.hybrid.dialect import Row, Sight, V
+from generator.hybrid.dialect import V
 from generator.hybrid.expression import (
     Call,
     Expression,
@@ -26,6 +24,7 @@ from generator.hybrid.expression import (
     constant,
     variables,
 )
+from generator.hybrid.fraction import DEN, NUM, FractionRays
 from generator.hybrid.steps import Step
 from generator.hybrid.text import number
 from racecar.controller import Controller
@@ -33,9 +32,8 @@ from racecar.errors import BadInput
 from racecar.instance import Instance
 
 THETA, STEERING = Variable("theta"), Variable("u")
-COS, SIN = Variable("ct"), Variable("st")
-AIM_COS, AIM_SIN = Variable("ca"), Variable("sa")
-NUM, DEN, INVERSE = Variable("num"), Variable("den"), Variable("q")
+#: 1 / DEN.
+INVERSE = Variable("q")
 #: The network's mode: entered with readings in metres, left with its raw output.
 NETWORK = "network"
 _ACTIVATIONS = {"tanh": "Tanh", "sigmoid": "Sigmoid"}
@@ -102,11 +100,9 @@ def _row(values: Sequence[float]) -> str:
     return f"[{', '.join(map(number, values))}]"
 
 
-class _Verisig:
+class _Verisig(FractionRays):
     def __init__(self, instance: Instance, controller: Controller) -> None:
-        self.plant = instance.plant
-        angles = instance.make_plant().lidar.angles
-        self.directions = list(zip(np.cos(angles).tolist(), np.sin(angles).tolist(), strict=True))
+        super().__init__(instance)
         self.inputs = [f"_f{i}" for i in range(1, controller.rays + 1)]
         _, self.factor, self.offset = split_network(controller)
 
@@ -116,10 +112,7 @@ class _Verisig:
             StateVariable("u", "steering angle", "rad"),
             StateVariable("ct", "cosine of the heading"),
             StateVariable("st", "sine of the heading"),
-            StateVariable("ca", "cosine of the angle of the ray at work"),
-            StateVariable("sa", "sine of the angle of the ray at work"),
-            StateVariable("num", "the ray at work reads num / den so far", "m"),
-            StateVariable("den", "the ray at work reads num / den so far"),
+            *self.ray_variables(),
             StateVariable("q", "1 / den"),
             *(StateVariable(f, f"reading of ray {i}", "m") for i, f in enumerate(self.inputs, 1)),
         ]
@@ -146,23 +139,6 @@ class _Verisig:
             Step(Mode("settle", "no face is left for the ray")),
             Step(Mode("divide", "q = 1 / den"), (Assignment("q", inverse),)),
         ]
-
-    def sight(self) -> Sight:
-        return Sight(SIN * AIM_COS + COS * AIM_SIN, COS * AIM_COS - SIN * AIM_SIN)
-
-    def aim(self, ray: int) -> list[Assignment]:
-        return [
-            Assignment("ca", constant(self.directions[ray - 1][0])),
-            Assignment("sa", constant(self.directions[ray - 1][1])),
-            Assignment("num", constant(self.plant.lidar.range)),
-            Assignment("den", constant(1.0)),
-        ]
-
-    def nearer(self, sight: Sight, row: Row) -> Constraint:
-        return Constraint(sight.gap(row) * DEN - sight.approach(row) * NUM, "<=", 0.0)
-
-    def hit(self, sight: Sight, row: Row) -> list[Assignment]:
-        return [Assignment("num", sight.gap(row)), Assignment("den", sight.approach(row))]
 
     def keep(self, ray: int) -> list[Assignment]:
         return [Assignment(self.inputs[ray - 1], NUM * INVERSE)]
