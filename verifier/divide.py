@@ -5,7 +5,7 @@ What a row is divided into covers it; rows that cannot be divided any more are g
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -143,7 +143,8 @@ class Divider:
         pairs = _by_symbol(c)
         along = np.concatenate([c[1:TERMS].sum(axis=0)[None], pairs]).argmax(axis=0)
         children += self.halve(chosen.take(split), along[split])
-        return children + self._sides(chosen, both, decisions, np.flatnonzero(~give_in & ~split))
+        go = np.flatnonzero(~give_in & ~split)
+        return children + self._sides(chosen.take(go), both.take(go), [decisions[n] for n in go])
 
     def _clear(self, rows: Rows) -> list[Rows]:
         """Return halves of rows that are unclear; small ones may keep kinks at any cost.
@@ -156,21 +157,12 @@ class Divider:
         forced = replace(forced, kink=np.full(len(forced), np.inf))
         return [*([forced] if len(forced) else []), *self.halve(rows.take(~small))]
 
-    def _sides(
-        self, rows: Rows, both: Sides, decisions: list[Assumption | None], go: Index
-    ) -> list[Rows]:
-        self.cuts += len(go)
+    def _sides(self, rows: Rows, both: Sides, decisions: Sequence[Assumption | None]) -> list[Rows]:
+        self.cuts += len(rows)
         children: list[Rows] = []
-        for interval, positive in ((both.positive, True), (both.negative, False)):
-            some = go[interval[0, go] <= interval[1, go]]
-            for along_x in (True, False):
-                kept = some[(both.parameter[some] == 0) == along_x]
-                if not kept.size:
-                    continue
-                assumed = [_signed(decisions[n], positive) for n in kept]
-                low, high = interval[:, kept]
-                part = Part(both.parameter[kept], low, high)
-                children.append(self._part(rows.take(kept), part, assumed))
+        for positive, kept, part in sided(both):
+            assumed = [_signed(decisions[n], positive) for n in kept]
+            children.append(self._part(rows.take(kept), part, assumed))
         return children
 
     def advance(self, rows: Rows, change: Advance) -> list[Rows]:
@@ -187,19 +179,13 @@ class Divider:
         cut = np.flatnonzero(~((low > 0) | (high <= 0)))
         if not cut.size:
             return [r for r in done if len(r)]
-        both = sides(value[cut], self._wide)
-        for interval, beyond in ((both.positive, True), (both.negative, False)):
-            for along_x in (True, False):
-                some = (interval[0] <= interval[1]) & ((both.parameter == 0) == along_x)
-                kept = rows.take(cut[some])
-                if not len(kept):
-                    continue
-                part = Part(both.parameter[some], *interval[:, some])
-                if beyond:
-                    done.append(self._move(kept, change, part))
-                else:
-                    stay = self._part(kept, part, [Beyond(False)] * len(kept))
-                    done.append(replace(stay, decisions=kept.decisions))
+        for beyond, kept, part in sided(sides(value[cut], self._wide)):
+            some = rows.take(cut[kept])
+            if beyond:
+                done.append(self._move(some, change, part))
+            else:
+                stay = self._part(some, part, [Beyond(False)] * len(some))
+                done.append(replace(stay, decisions=some.decisions))
         return [r for r in done if len(r)]
 
     def _move(self, rows: Rows, change: Advance, part: Part) -> Rows:
@@ -212,6 +198,19 @@ class Divider:
         if self._record is not None:
             moved = replace(moved, node=self._record.moved(moved, self.step, part))
         return moved
+
+
+def sided(both: Sides) -> Iterator[tuple[bool, Index, Part]]:
+    """Yield of each side, the positive first, which rows have a part there, and the parts.
+
+    Those along x and those along symbols come apart.
+    """
+    for interval, positive in ((both.positive, True), (both.negative, False)):
+        there = interval[0] <= interval[1]
+        for along_x in (True, False):
+            kept = np.flatnonzero(there & ((both.parameter == 0) == along_x))
+            if kept.size:
+                yield positive, kept, Part(both.parameter[kept], *interval[:, kept])
 
 
 def widest(rows: Rows) -> Index:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from verifier.arithmetic import BASE, KNOWN
 from verifier.models import TERMS, Array, Models, bounds, norm
 from verifier.rounding import TINY, UP
-from verifier.rows import THETA, F, Rows, S, V
+from verifier.rows import THETA, F, Rows, S, V, fresh
 
 #: Rows are gathered if together they fill at least this share of the row that contains them.
 FILL = 0.8
@@ -93,22 +93,14 @@ def gathered(rows: Rows, symbols: int) -> Gathered:
         c[TERMS + 2 * j, :, 0] = axes[:, k] * half[k]
     places = np.stack([low, high])[:, order] - ((lower + upper) / 2)[order, None]
     places = places / half[order, None]
-    first = np.zeros(1, dtype=np.intp)
-    one = rows.take(first)
-    new = Rows(
-        state=Models(c, (rest * UP + TINY)[:, None]),
-        frame=one.frame,
+    new = fresh(
+        Models(c, (rest * UP + TINY)[:, None]),
+        frame=rows.frame[:1],
         low=rows.low.min(keepdims=True),
         high=rows.high.max(keepdims=True),
         least=rows.least.min(keepdims=True),
-        decisions=((),),
-        kink=np.zeros(1),
-        tried=np.full(1, np.inf),
-        borne=np.zeros(1),
-        case=one.case,
-        splits=np.zeros(1, dtype=np.intp),
-        gathered=np.ones(1, dtype=bool),
-        node=np.full(1, -1),
+        case=rows.case[:1],
+        gathered=True,
     )
     return Gathered(new, _filled(places), places[:, 0].sum(axis=0) > 0)
 

@@ -99,19 +99,18 @@ def prove_piece(
             report(share())
             last = time.monotonic()
 
-    provers = [Prover(problem, wanted, check, record, decided)]
-    ladder = [(0, tolerance) for tolerance in TOLERANCES]
-    if problem.wide:
-        ladder = [(0, tolerance) for tolerance in WIDE_TOLERANCES]
-    else:
-        provers.append(Prover(problem, wanted, check, record, decided, wide=True))
-        ladder += [(1, tolerance) for tolerance in WIDE_TOLERANCES]
+    ladder = [(tolerance, True) for tolerance in WIDE_TOLERANCES]
+    if not problem.wide:
+        ladder = [(tolerance, False) for tolerance in TOLERANCES] + ladder
+    provers: dict[bool, Prover] = {}
     in_time = True
     try:
-        for number, tolerance in ladder:
-            if number and 1 - shown > SMALL_REST:
+        for tolerance, wide in ladder:
+            if wide and not problem.wide and 1 - shown > SMALL_REST:
                 break
-            latest, prover = lambda: 0.0, provers[number]
+            if wide not in provers:
+                provers[wide] = Prover(problem, wanted, check, record, decided, wide=wide)
+            latest, prover = lambda: 0.0, provers[wide]
             proof = prover.prove(box, low, high, tolerance, piece.case)
             least, leaves = min(least, proof.least), leaves + proof.leaves
             low, high = merged(proof.low, proof.high, piece)
@@ -123,9 +122,10 @@ def prove_piece(
         in_time, decided_share = False, share()
     if not low.size:
         decided_share = 1.0
+    used = provers.values()
     return Outcome(
-        piece, low, high, least, leaves, sum(p.cuts for p in provers), decided_share, in_time,
-        record, sum(p.network_time_s for p in provers),
+        piece, low, high, least, leaves, sum(p.cuts for p in used), decided_share, in_time,
+        record, sum(p.network_time_s for p in used),
     )  # fmt: skip
 
 

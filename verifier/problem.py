@@ -13,7 +13,7 @@ from racecar.instance import Disturbance, Instance, load_instance, load_instance
 from racecar.safety import Property
 from verifier.models import TERMS, Array, Models
 from verifier.rounding import UP, U
-from verifier.rows import THETA, F, Rows, S, V
+from verifier.rows import THETA, F, Rows, S, V, fresh
 
 
 @dataclass(frozen=True)
@@ -87,19 +87,13 @@ def start_rows(box: Box, low: Array, high: Array, case: int = 0, carried: int = 
     c[1, box.lead] = half[box.lead]
     for i, component in enumerate(box.others):
         c[TERMS + 2 * i, component] = half[component]
-    rows = Rows(
-        state=Models(c, np.zeros((4, count))),
+    rows = fresh(
+        Models(c, np.zeros((4, count))),
         frame=np.zeros(count, dtype=np.intp),
         low=np.full(count, -1.0),
         high=np.full(count, 1.0),
         least=np.full(count, np.inf),
-        decisions=((),) * count,
-        kink=np.zeros(count),
-        tried=np.full(count, np.inf),
-        borne=np.zeros(count),
         case=np.full(count, case),
-        splits=np.zeros(count, dtype=np.intp),
-        gathered=np.zeros(count, dtype=bool),
-        node=np.full(count, -1),
+        gathered=False,
     )
     return rows.restrict(np.asarray(low), np.asarray(high))

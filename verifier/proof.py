@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,7 +110,9 @@ class Prover:
         # Frames are treated together if they agree in walls, advance and unsafe set.
         self._alike = alike * len(frames) + problem.safety.alike
         self._divider = Divider(record, self._wide)
-        self._carried = 0
+        #: Error symbols that keep their meaning from step to step, and all of a row between steps.
+        self._carried = KNOWN if self._wide else 0
+        self._symbols = self._carried + len(ACTIVE)
         #: Seconds spent in enclosures of the network.
         self.network_time_s = 0.0
 
@@ -124,8 +127,6 @@ class Prover:
         """Prove pieces [low, high] of a box; tolerance: for the error of one step."""
         divider, steps = self._divider, self._problem.steps
         divider.failed, divider.step, self.arrived = [], 0, []
-        # Wide rows have as many as gathered ones.
-        self._carried = KNOWN if self._wide else 0
         rows = start_rows(box, low, high, case, self._carried)
         rows = replace(rows, frame=np.full(len(low), frame))
         if self._record is not None:
@@ -162,24 +163,16 @@ class Prover:
     def _anew(self, rows: Rows) -> Rows:
         """Describe rows anew, each by itself: their errors become first symbols."""
         each, step = [rows.take(np.array([i])) for i in range(len(rows))], self._divider.step
-        return join([self._noted(row, step, gathered(row, self._symbols).rows) for row in each])
+        return join([self._noted(step, row, gathered(row, self._symbols).rows) for row in each])
 
-    @property
-    def _symbols(self) -> int:
-        """Error symbols of a row between steps."""
-        return self._carried + len(ACTIVE)
-
-    def _noted(self, some: Rows, step: int, whole: Rows) -> Rows:
+    def _noted(self, step: int, some: Rows, whole: Rows) -> Rows:
         if self._record is None:
             return whole
         return replace(whole, node=self._record.gathered(some, step, whole))
 
     def _gather(self, step: int, rows: Rows) -> Rows:
         """Put rows together that have grown together."""
-
-        def note(some: Rows, whole: Rows) -> Rows:
-            return self._noted(some, step, whole)
-
+        note = partial(self._noted, step)
         done: list[Rows] = []
         for frame, case in sorted(set(zip(rows.frame.tolist(), rows.case.tolist(), strict=True))):
             mine = rows.take((rows.frame == frame) & (rows.case == case))

@@ -159,6 +159,29 @@ def middle_half(low: Array, high: Array) -> tuple[Array, Array]:
     return (low + high) / 2, (high - low) / 2 * UP + 2.0**-50
 
 
+def fresh(
+    state: Models, frame: NDArray[np.intp], low: Array, high: Array, least: Array,
+    case: NDArray[np.intp], gathered: bool,
+) -> Rows:  # fmt: skip
+    """Return rows of which nothing has been tried, assumed or recorded yet."""
+    count = len(frame)
+    return Rows(
+        state=state,
+        frame=frame,
+        low=low,
+        high=high,
+        least=least,
+        decisions=((),) * count,
+        kink=np.zeros(count),
+        tried=np.full(count, np.inf),
+        borne=np.zeros(count),
+        case=case,
+        splits=np.zeros(count, dtype=np.intp),
+        gathered=np.full(count, gathered),
+        node=np.full(count, -1),
+    )
+
+
 #: All fields of rows that are ``[rows]``.
 _ARRAYS = (
     "frame", "low", "high", "least", "kink", "tried", "borne", "case", "splits", "gathered", "node",
