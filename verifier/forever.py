@@ -16,7 +16,8 @@ import numpy as np
 
 from verifier.disturbed import cases
 from verifier.models import Array, bounds
-from verifier.pieces import TOLERANCES, Piece, merged
+from verifier.piece import Piece, merged
+from verifier.pieces import TOLERANCES
 from verifier.problem import Box, Problem
 from verifier.proof import OutOfTime, Prover
 from verifier.rows import F, Rows, join

@@ -5,60 +5,26 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from dataclasses import dataclass
 from itertools import pairwise
 from multiprocessing import get_context
 
 import numpy as np
 
-from verifier.models import Array
+from verifier.halves import TOLERANCE, prove_halved
+from verifier.piece import Outcome, Piece, merged
 from verifier.problem import Box, Problem
 from verifier.proof import OutOfTime, Prover
 from verifier.record import Record
 
 #: Errors (m, rad) allowed per step, tried in turn on what the one before left open.
 TOLERANCES = (1e-6, 1e-8, 1e-10, 1e-12)
-#: The same where errors are what there is: several numbers are uncertain.
-WIDE_TOLERANCES = (1e-4,)
 #: What is left open of a piece is tried like that, too, if it is a smaller share of it: there small
 #: differences grow so much that a polynomial does not hold them.
 SMALL_REST = 1e-3
-#: The ends of a row's piece are tracked to within this (in the box's units, -1 to 1).
-_TRACKED = 2e-12
 #: Pieces per worker: some are harder than others.
 _PER_WORKER = 2
 #: How often (s) the share that is proved is worked out.
 _EVERY = 0.2
-
-
-@dataclass(frozen=True)
-class Piece:
-    """The part [low, high] (within [-1, 1]) of the start range, in one case of faults."""
-
-    case: int
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What was shown of a piece.
-
-    low, high: parts that stay open; least: proved lower bound of the margin (m) on the rest;
-    decided: share of the piece that is proved; in_time: whether the piece was treated to its end;
-    network_time_s: seconds spent in enclosures of the network.
-    """
-
-    piece: Piece
-    low: Array
-    high: Array
-    least: float
-    leaves: int
-    cuts: int
-    decided: float
-    in_time: bool
-    record: Record | None
-    network_time_s: float = 0.0
 
 
 def divided(cases: int, workers: int) -> list[Piece]:
@@ -99,7 +65,9 @@ def prove_piece(
             report(share())
             last = time.monotonic()
 
-    ladder = [(tolerance, True) for tolerance in WIDE_TOLERANCES]
+    if problem.noisy:
+        return prove_halved(problem, box, piece, wanted, check, recorded, report)
+    ladder = [(TOLERANCE, True)]
     if not problem.wide:
         ladder = [(tolerance, False) for tolerance in TOLERANCES] + ladder
     provers: dict[bool, Prover] = {}
@@ -164,20 +132,3 @@ def prove_pieces(
                 done += outcome.decided
                 report(done / len(pieces))
                 yield outcome
-
-
-def merged(low: Array, high: Array, piece: Piece) -> tuple[Array, Array]:
-    """Return intervals within a piece that cover the given ones, joined where they touch.
-
-    They are a little wider, so that they cover the rows as the models mean them, too.
-    """
-    low, high = np.maximum(low - _TRACKED, piece.low), np.minimum(high + _TRACKED, piece.high)
-    order = np.argsort(low)
-    joined: list[list[float]] = []
-    for a, b in zip(low[order], high[order], strict=True):
-        if joined and a <= joined[-1][1]:
-            joined[-1][1] = max(joined[-1][1], b)
-        else:
-            joined.append([a, b])
-    pairs = np.array(joined).reshape(-1, 2)
-    return pairs[:, 0], pairs[:, 1]

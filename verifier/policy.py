@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,3 +56,5 @@ WIDE = Policy(
     push=0.2,
     slack=1.5,
 )
+#: The same where what the noise does is larger than what dividing rows could save.
+BOLD = replace(WIDE, growth=0.05, push=0.5)

@@ -31,10 +31,14 @@ class Problem:
     @property
     def wide(self) -> bool:
         """Whether more than one number is uncertain."""
-        noisy = self.disturbance is not None and (
+        return self.noisy or int((self.upper > self.lower).sum()) > 1
+
+    @property
+    def noisy(self) -> bool:
+        """Whether something uncertain is added at every step."""
+        return self.disturbance is not None and (
             self.disturbance.noise > 0 or self.disturbance.choice == "step"
         )
-        return noisy or int((self.upper > self.lower).sum()) > 1
 
 
 def load_problem(path: Path) -> tuple[Instance, Problem]:

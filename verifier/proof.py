@@ -25,7 +25,7 @@ from verifier.lohner import consolidate
 from verifier.models import Array, Models, norm
 from verifier.motion import Motion, extent, new_error, total_error
 from verifier.network import Network
-from verifier.policy import NARROW, WIDE
+from verifier.policy import NARROW, WIDE, Policy
 from verifier.problem import ACTIVE, Box, Problem, start_rows
 from verifier.queue import Queue
 from verifier.record import Record
@@ -66,13 +66,19 @@ class OutOfTime(Exception):
     """The time limit was reached."""
 
 
+class TooManyRows(Exception):
+    """A proof took more rows than it was allowed."""
+
+
 class Prover:
     """Proves boxes of one problem; ``check`` is called often and may raise OutOfTime.
 
     decided(share) is called often, with a function that returns the share of the pieces at hand
     that is proved. to_corner: runs end as soon as they are in the next hall's frame, and are to
     get there within the problem's steps; wide: whether errors are followed and divided like start
-    positions, if that is not as the problem suggests. Raises disturbed.TooManyChoices.
+    positions, if that is not as the problem suggests; policy: when rows are accepted, if that is
+    not as usual; most_rows: a proof that treats more of them raises TooManyRows. Raises
+    disturbed.TooManyChoices.
     """
 
     def __init__(
@@ -84,6 +90,8 @@ class Prover:
         decided: Callable[[Callable[[], float]], None] = lambda share: None,
         to_corner: bool = False,
         wide: bool | None = None,
+        policy: Policy | None = None,
+        most_rows: float = np.inf,
     ) -> None:
         self._problem = problem
         self._wide = problem.wide if wide is None else wide
@@ -94,7 +102,8 @@ class Prover:
             noise=0.0, missing=0, turn_only=True, choice="run"
         )
         self._missing = disturbed.cases(problem.disturbance, problem.plant.lidar.rays)
-        self._policy = WIDE if self._wide else NARROW
+        self._policy = policy or (WIDE if self._wide else NARROW)
+        self._most_rows, self._treated = most_rows, 0
         self._wanted = wanted
         self._check = check
         self._record = record
@@ -126,6 +135,7 @@ class Prover:
     ) -> Proof:
         """Prove pieces [low, high] of a box; tolerance: for the error of one step."""
         divider, steps = self._divider, self._problem.steps
+        self._treated = 0
         divider.failed, divider.step, self.arrived = [], 0, []
         rows = start_rows(box, low, high, case, self._carried)
         rows = replace(rows, frame=np.full(len(low), frame))
@@ -195,6 +205,9 @@ class Prover:
             if shapes.min() != shapes.max():
                 todo += [batch.take(shapes == shape) for shape in np.unique(shapes)]
                 continue
+            self._treated += len(batch)
+            if self._treated > self._most_rows:
+                raise TooManyRows
             again, finished = self._attempt(batch, tolerance)
             # Joined, so that the next batches are full.
             again = [r for r in again if len(r)]

@@ -13,7 +13,8 @@ from verifier.disturbed import TooManyChoices, cases
 from verifier.falsify import Worst, confirmed, worst_start
 from verifier.forever import Forever, prove_forever
 from verifier.models import Array
-from verifier.pieces import Outcome, Piece, divided, prove_pieces
+from verifier.piece import Outcome, Piece
+from verifier.pieces import divided, prove_pieces
 from verifier.problem import Box, Problem
 from verifier.record import Record, joined
 from verifier.result import Result

@@ -17,7 +17,8 @@ from verifier import pieces as under_test
 from verifier import proof, verify
 from verifier.certificate import ADVANCE, GATHERED, IMAGE, PART, ROOT
 from verifier.disturbed import cases
-from verifier.pieces import Outcome, Piece, divided, merged, prove_piece, prove_pieces
+from verifier.piece import Outcome, Piece, merged
+from verifier.pieces import divided, prove_piece, prove_pieces
 from verifier.problem import Box, Problem
 from verifier.record import Part, Record, everything, joined
 from verifier.rows import Beyond, Decision, Inside, S

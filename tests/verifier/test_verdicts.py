@@ -22,7 +22,7 @@ from racecar.safety import Property, named_property
 from verifier import divide, pieces
 from verifier import verify as under_test
 from verifier.divide import Divider
-from verifier.pieces import Outcome, Piece, merged
+from verifier.piece import Outcome, Piece, merged
 from verifier.problem import Box, Problem, load_problem
 from verifier.proof import Prover
 from verifier.result import Result
