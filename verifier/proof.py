@@ -43,6 +43,8 @@ GAP = 1e-10
 BORNE = 1.3
 #: What a step adds to the errors is taken larger by this, too (Policy.slack says how much else).
 TAIL = 1e-18
+#: What noise does in a step, a symbol of its own, is taken larger by this.
+PUSH_SLACK = 1.02
 #: The policy's slack where a kink was kept: there the bounds depend on details. (Wide rows, which
 #: are full of kinks, would grow too much.)
 KINK_SLACK = 2.0
@@ -316,7 +318,9 @@ class Prover:
             return rows
         kinked = (rows.kink > 0) & (not self._wide)
         slack = np.where(kinked, KINK_SLACK, self._policy.slack)
-        state = Models(state.c, state.radius * slack + TAIL)
+        c = state.c.copy()
+        c[len(rows.state.c) :] *= PUSH_SLACK
+        state = Models(c, state.radius * slack + TAIL)
         rows = replace(
             rows,
             state=consolidate(state, list(ACTIVE), self._carried),
