@@ -18,6 +18,8 @@ from typing import Any
 
 import click
 
+from harness.export_command import export_command
+from harness.tools_command import check_tool_command, new_tool_command, tools_command
 from racecar.command_line import CHECK_FAILED, DONE, Commands, print_json
 from racecar.errors import BadInput
 
@@ -209,18 +211,5 @@ def replay_command(instance: Path, witness: Path, as_json: bool) -> int:
     return DONE if check.credited else CHECK_FAILED
 
 
-@main.command("export")
-@click.argument("run", type=_as_path)
-@click.option("--layout", type=click.Choice(["csv"]), default="csv", show_default=True)
-@click.option("-o", "--output", type=_as_path, required=True, metavar="FILE")
-def export_command(run: Path, layout: str, output: Path) -> int:
-    """Write a run's results as VNN-COMP's six columns, no header."""
-    from harness.export import results_csv
-    from harness.store import RunFolder
-    from racecar.controller import write_whole
-
-    assert layout == "csv"
-    if output.is_dir():
-        raise BadInput(f"{output}: it is a folder; give a file")
-    write_whole(output, results_csv(RunFolder.open(run).records()))
-    return DONE
+for _command in (export_command, tools_command, new_tool_command, check_tool_command):
+    main.add_command(_command)

@@ -1,0 +1,258 @@
+"""Runs a described tool as if it had VNN-COMP's scripts.
+
+    python -m harness.adapter install  FOLDER v1
+    python -m harness.adapter prepare  FOLDER v1 CATEGORY ONNX SPEC
+    python -m harness.adapter run      FOLDER v1 CATEGORY ONNX SPEC RESULTS TIMEOUT
+
+FOLDER holds ``tool.toml``. What the tool prints is passed on as it comes. A command that ends
+with another status than described ends the adapter with that status; nothing that it printed is
+believed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from harness.counterexample import is_version_2, network_outputs, write_counterexample
+from harness.description import (
+    DESCRIPTION,
+    Description,
+    Format,
+    Result,
+    Step,
+    Witness,
+    fill,
+    load_description,
+)
+from harness.files import open_plain, write_durable
+from harness.installed import install, installed_values
+from harness.records import Verdict
+from racecar.errors import BadInput
+
+#: Of what a tool prints or writes so many bytes at either end are looked at.
+_MOST_TEXT = 1 << 24
+_USAGE = "usage: python -m harness.adapter install|prepare|run FOLDER v1 [CATEGORY ONNX SPEC ...]"
+
+
+class Refused(Exception):
+    """The tool cannot be asked this; the message says why."""
+
+
+class Ended(Exception):
+    """A command ended with a status that is not a good one."""
+
+    def __init__(self, status: int) -> None:
+        super().__init__(status)
+        self.status = status if status >= 0 else 128 - status
+
+
+@dataclass(frozen=True)
+class Question:
+    """What the scripts are told of an instance."""
+
+    category: str
+    onnx: Path
+    spec: Path
+
+    def format(self) -> Format:
+        """Return the format of the specification."""
+        if self.spec.suffix == ".json":
+            return Format.JSON
+        head = self.spec.read_text("utf-8", errors="replace")
+        return Format.VNNLIB_2 if is_version_2(head) else Format.VNNLIB_1
+
+    def id(self) -> str:
+        """Return the instance's ID: what its JSON says, else the name of the file."""
+        if self.spec.suffix == ".json":
+            return str(json.loads(self.spec.read_text("utf-8")).get("id", self.spec.stem))
+        return self.spec.stem
+
+
+def check_accepted(tool: Description, question: Question) -> None:
+    """Raise Refused if the tool cannot be asked."""
+    given = question.format()
+    known = list(dict.fromkeys(format_.given for format_ in tool.accepts.formats))
+    if given not in known:
+        raise Refused(f"{tool.name} reads {', '.join(known)}, and this is {given}")
+    categories = tool.accepts.categories
+    if categories and question.category not in categories:
+        raise Refused(f"{tool.name} is for {', '.join(categories)}, not {question.category}")
+
+
+def instance_values(question: Question) -> dict[str, str]:
+    """Return what the placeholders of an instance stand for."""
+    return {
+        "category": question.category,
+        "onnx": str(question.onnx),
+        "spec": str(question.spec),
+        "id": question.id(),
+        "work": str(Path.cwd()),
+    }
+
+
+def prepare(tool: Description, folder: Path, question: Question) -> None:
+    """Take the steps before the clock starts."""
+    check_accepted(tool, question)
+    values = installed_values(tool, folder) | instance_values(question)
+    for step in tool.prepare:
+        call(step, values)
+
+
+def run(tool: Description, folder: Path, question: Question, results: Path, limit: float) -> None:
+    """Ask the tool and write the result file."""
+    try:
+        check_accepted(tool, question)
+    except Refused as refused:
+        print(f"unknown: {refused}", flush=True)
+        write_durable(results, f"{Verdict.UNKNOWN}\n".encode(), sync=False)
+        return
+    # Whole seconds: many tools take no others.
+    timeout = max(1, int(max(limit - tool.run.reserve, limit / 2)))
+    times = {"limit": f"{limit:g}", "timeout": str(timeout), "results": str(results)}
+    values = installed_values(tool, folder) | instance_values(question) | times
+    printed = call(tool.run, values)
+    if tool.result.form == "vnncomp":
+        return
+    verdict = judge(tool.result, _found(tool.result.file, values, printed))
+    answer = f"{verdict}\n"
+    if verdict is Verdict.SAT:
+        assert tool.witness is not None
+        text = _found(tool.witness.file, values, printed)
+        answer += find_witness(tool.witness, text, question)
+    write_durable(results, answer.encode(), sync=False)
+
+
+def judge(result: Result, text: str) -> Verdict:
+    """Return the verdict of the first rule that holds for the text."""
+    for rule in result.rules:
+        found = all(re.search(pattern, text, re.MULTILINE) for pattern in rule.all)
+        if found and not any(re.search(pattern, text, re.MULTILINE) for pattern in rule.none):
+            return rule.verdict
+    return result.otherwise
+
+
+def find_witness(witness: Witness, text: str, question: Question) -> str:
+    """Return the witness as it stands after ``sat``; BadInput if it is not to be found."""
+    if witness.form == "text":
+        if witness.pattern is None:
+            return text
+        match = re.search(witness.pattern, text, re.MULTILINE)
+        if match is None:
+            raise BadInput("it says sat, but the witness is not where the description says")
+        return match["witness"]
+    assert witness.inputs is not None
+    found = {
+        int(match["index"]): float(match["value"])
+        for match in re.finditer(witness.inputs, text, re.MULTILINE)
+    }
+    if sorted(found) != list(range(len(found))) or not found:
+        raise BadInput(f"it says sat, but gives the inputs {sorted(found)} of the network only")
+    inputs = [found[index] for index in range(len(found))]
+    spec = question.spec.read_text("utf-8")
+    return write_counterexample(spec, inputs, network_outputs(question.onnx, inputs))
+
+
+def call(step: Step, values: Mapping[str, str]) -> str:
+    """Run a command; return what it printed. Raises Ended."""
+    command = [fill(word, values) for word in step.command]
+    environment = {name: fill(text, values) for name, text in step.environment.items()}
+    source = Path(fill(step.stdin, values)) if step.stdin else Path(os.devnull)
+    try:
+        with source.open("rb") as stdin:
+            process = subprocess.Popen(
+                command,
+                stdin=stdin,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                env=os.environ | environment,
+            )
+    except OSError as error:
+        raise BadInput(f"{command[0]}: cannot be started ({error.strerror})") from None
+    assert process.stdout is not None
+    tee = Tee(process.stdout)
+    status = process.wait()
+    text = tee.finish()
+    if status not in step.status:
+        raise Ended(status)
+    return text
+
+
+class Tee:
+    """Passes on what a process prints, and keeps both ends of it."""
+
+    #: A process that outlives the command may hold its output open; it is waited for so long (s).
+    PATIENCE_S = 1.0
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream = stream
+        self._head, self._tail = bytearray(), bytearray()
+        self._thread = threading.Thread(target=self._pump, daemon=True)
+        self._thread.start()
+
+    def _pump(self) -> None:
+        while chunk := os.read(self._stream.fileno(), 1 << 16):
+            os.write(sys.stdout.fileno(), chunk)
+            room = _MOST_TEXT - len(self._head)
+            self._head += chunk[:room]
+            self._tail += chunk[room:]
+            if len(self._tail) > 2 * _MOST_TEXT:
+                del self._tail[:-_MOST_TEXT]
+
+    def finish(self) -> str:
+        """Return what was printed."""
+        self._thread.join(self.PATIENCE_S)
+        return bytes(self._head + self._tail).decode("utf-8", errors="replace")
+
+
+def _found(file: str | None, values: Mapping[str, str], printed: str) -> str:
+    """Return the text of a file that the tool wrote, nothing if there is none; or the output."""
+    if file is None:
+        return printed
+    path = fill(file, values)
+    try:
+        with open_plain(Path(path)) as written:
+            return written.read(_MOST_TEXT).decode("utf-8", errors="replace")
+    except OSError:
+        print(f"there is no file {path}", flush=True)
+        return ""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Take one step; return the exit status."""
+    counts = {"install": 0, "prepare": 3, "run": 5}
+    if len(arguments) < 3 or len(arguments) != 3 + counts.get(arguments[0], -1):
+        print(_USAGE, file=sys.stderr)
+        return 2
+    action, folder = arguments[0], Path(arguments[1])
+    try:
+        tool = load_description(folder / DESCRIPTION)
+        if action == "install":
+            install(tool)
+            return 0
+        question = Question(arguments[3], Path(arguments[4]), Path(arguments[5]))
+        if action == "prepare":
+            prepare(tool, folder, question)
+        else:
+            run(tool, folder, question, Path(arguments[6]), float(arguments[7]))
+    except Refused:
+        return 0  # run says so, with a result
+    except Ended as ended:
+        print(f"the command ended with status {ended.status}", file=sys.stderr)
+        return ended.status
+    except BadInput as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
