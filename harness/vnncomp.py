@@ -93,7 +93,7 @@ def export_vnncomp(folder: RunFolder, out: Path) -> list[Exported]:
     left_out = len(records) - len(chosen)
     if left_out:
         last = parts[list(parts)[-1]]
-        last.notes.append(f"{left_out} results on other than VNN-LIB instances are left out")
+        last.notes.append(f"left out, since they are not about VNN-LIB files: {left_out}")
     return [
         Exported(target, part.rows, part.witnesses, tuple(part.notes))
         for target, part in parts.items()
