@@ -128,7 +128,22 @@ def run(tool: Description, folder: Path, question: Question, results: Path, limi
         assert tool.witness is not None
         text = _found(tool.witness.file, values, printed)
         answer += find_witness(tool.witness, text, question)
+        if tool.witness.check:
+            answer = _checked(answer, question)
     write_durable(results, answer.encode(), sync=False)
+
+
+def _checked(answer: str, question: Question) -> str:
+    """Return the answer, or unknown where the judge of witnesses would not credit its witness."""
+    from harness.catalogue import Entry  # noqa: PLC0415
+    from harness.checks import judge_entry  # noqa: PLC0415
+
+    entry = Entry(question.id(), question.category, question.onnx, question.spec, 0.0)
+    check = judge_entry(entry, answer.partition("\n")[2].encode())
+    if check.credited:
+        return answer
+    print(f"unknown: it says sat, but its witness is {check.outcome}: {check.message}", flush=True)
+    return f"{Verdict.UNKNOWN}\n"
 
 
 def judge(result: Result, text: str) -> Verdict:

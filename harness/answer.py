@@ -8,6 +8,7 @@ from pathlib import Path
 
 from harness.files import open_plain
 from harness.records import NO_RESULT, Verdict
+from racecar.errors import BadInput
 
 #: A longer witness (bytes) is not read: it is malformed.
 LARGEST_WITNESS = 1 << 24
@@ -62,6 +63,15 @@ def read_answer(path: Path) -> Answer:
         return Answer(NO_RESULT, detail="there is no result file")
     except OSError as error:
         return Answer(NO_RESULT, detail=f"result file: {error.strerror}")
+
+
+def read_witness(path: Path) -> bytes:
+    """Return the witness in a file: the file itself, or what follows ``sat``; BadInput if bad."""
+    try:
+        with path.open("rb") as file:
+            return witness_in(file.read(2 * LARGEST_WITNESS))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror})") from None
 
 
 def witness_in(content: bytes) -> bytes:

@@ -19,8 +19,10 @@ from typing import Any
 import click
 
 from harness.export_command import export_command
+from harness.replay_command import replay_command
+from harness.score_command import print_score, score_command
 from harness.tools_command import check_tool_command, new_tool_command, tools_command
-from racecar.command_line import CHECK_FAILED, DONE, Commands, print_json
+from racecar.command_line import Commands, print_json
 from racecar.errors import BadInput
 
 _as_path = click.Path(path_type=Path)
@@ -43,7 +45,18 @@ def _benchmarks_option(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 def main() -> None:
-    """Run verifiers on closed-loop instances and judge what they answer."""
+    """Run verifiers on instances and judge what they answer."""
+
+
+for command in (
+    check_tool_command,
+    export_command,
+    new_tool_command,
+    replay_command,
+    score_command,
+    tools_command,
+):
+    main.add_command(command)
 
 
 @main.command("run")
@@ -131,85 +144,9 @@ def run_command(
                 print_json(_result_data(record, check))
     else:
         report.print_results(results)
-    return _score([folder.path], root, not as_json, as_json=False)
+    return print_score([folder.path], root, not as_json, as_json=False)
 
 
 def _result_data(record: Any, check: Any) -> dict[str, Any]:
     data = record.model_dump(mode="json")
     return {**data, "witness_check": check.model_dump(mode="json") if check else None}
-
-
-def _score(
-    runs: list[Path], root: Path | None, table: bool, as_json: bool, recheck: bool = False
-) -> int:
-    from harness import report
-    from harness.evidence import gather
-    from harness.scoring import score
-    from harness.store import RunFolder
-
-    evidence = gather([RunFolder.open(path) for path in runs], root, recheck)
-    scores = score(evidence.claims, evidence.references)
-    for note in evidence.notes:
-        click.echo(f"note: {note}", err=True)
-    if as_json:
-        for row in scores.rows:
-            print_json(report.row_data(row, scores.contradictions))
-    if table:
-        report.print_scores(scores)
-    else:
-        report.print_contradictions(scores.contradictions, stderr=True)
-    return CHECK_FAILED if scores.reference_refuted else DONE
-
-
-@main.command("score")
-@click.argument("runs", nargs=-1, required=True, type=_as_path, metavar="RUN...")
-@click.option("--recheck", is_flag=True, help="Replay every witness again.")
-@_benchmarks_option
-@_json_option
-def score_command(
-    runs: tuple[Path, ...], recheck: bool, benchmarks: Path | None, as_json: bool
-) -> int:
-    """Score runs by VNN-COMP's rules.
-
-    Ends with status 1 if a witness refutes a reference result.
-    """
-    from harness.catalogue import find_root
-
-    unique = list({path.resolve(): path for path in runs}.values())
-    root = find_root(benchmarks) or _named_by(unique[0])
-    return _score(unique, root, not as_json, as_json, recheck)
-
-
-def _named_by(run: Path) -> Path | None:
-    """Return the benchmarks folder that a run was made with, if it is still there."""
-    from harness.store import RunFolder
-
-    folder = RunFolder.open(run).info().benchmarks
-    return Path(folder) if folder and Path(folder).is_dir() else None
-
-
-@main.command("replay")
-@click.argument("instance", type=_as_path)
-@click.argument("witness", type=_as_path)
-@_json_option
-def replay_command(instance: Path, witness: Path, as_json: bool) -> int:
-    """Check a witness independently of every tool.
-
-    WITNESS is a JSON file with s, f, v and theta, or a result file: sat, then the JSON. Ends with
-    status 0 if a tool is credited for it, 1 if not.
-    """
-    from harness import report
-    from harness.replay import check_file
-
-    check = check_file(instance, witness)
-    if as_json:
-        data = check.model_dump(mode="json")
-        flags = {"credited": check.credited, "establishes_sat": check.establishes_sat}
-        print_json({**data, **flags})
-    else:
-        report.print_check(check)
-    return DONE if check.credited else CHECK_FAILED
-
-
-for _command in (export_command, tools_command, new_tool_command, check_tool_command):
-    main.add_command(_command)

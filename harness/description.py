@@ -167,6 +167,9 @@ class Witness(Data):
     file: str | None = Field(default=None, description="its text; absent: what the tool prints")
     pattern: Pattern | None = None
     inputs: IndexedPattern | None = None
+    check: bool = Field(
+        default=False, description="judge it first, and say unknown if it earns nothing"
+    )
 
     @model_validator(mode="after")
     def _whole(self) -> Self:

@@ -40,6 +40,7 @@ _RESULTS = {
     WitnessOutcome.CORRECT_WITH_TOLERANCE: "correct_up_to_tolerance",
     WitnessOutcome.MISSING: "no_ce",
     WitnessOutcome.MALFORMED: "malformed_ce",
+    WitnessOutcome.UNSUPPORTED: "unsupported",
 }
 _CLASSES = {
     "correct_up_to_tolerance": "correct_with_tolerance",
