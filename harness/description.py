@@ -311,4 +311,4 @@ def _complaint(error: ValidationError) -> str:
 def description_schema() -> dict[str, Any]:
     """Return the JSON Schema of a description."""
     schema = Description.model_json_schema()
-    return {"$schema": SCHEMA, "title": "closedlap-tool-1.0", **schema}
+    return {"$schema": SCHEMA, **schema, "title": "closedlap-tool-1.0"}

@@ -1,6 +1,6 @@
 """Real verifiers for tests: those that ship with the harness, installed as it installs them.
 
-A test skips where a tool cannot be installed; slow ones (hundreds of megabytes to unpack, minutes to
+A test skips where a tool cannot be installed; slow ones (hundreds of megabytes, minutes to
 run) are used only with CLOSEDLAP_SLOW_TOOLS=1.
 """
 

@@ -183,6 +183,47 @@ def test_values_become_either_syntax(tmp_path, version, witness):
         find_witness(where, text.replace("x1", "z1"), question)
 
 
+@pytest.mark.parametrize(("x0", "result"), [("1.0", "sat"), ("0.25", "unknown"), ("7", "unknown")])
+def test_a_checked_witness_that_earns_nothing_is_not_claimed(make_described, tmp_path, x0, result):
+    # Of y = x0 - x1 with inputs in [0, 1], y >= 0.5 is asked for; x1 is 0.
+    from harness.description import Format
+
+    (tiny,) = (
+        t for t in make_tiny(tmp_path / "set", [Format.VNNLIB_1], 30)
+        if t.entry.id == "difference_large"
+    )  # fmt: skip
+    table = tmp_path / "set" / "benchmarks" / "tiny" / "instances.csv"
+    table.parent.mkdir(parents=True)
+    table.write_text(f"{tiny.entry.onnx},{tiny.entry.spec},30\n")
+    i = RULES.index("[witness]")
+    more = RULES[:i] + (
+        "[witness]\nform = 'values'\ncheck = true\n"
+        r"inputs = '^x(?P<index>\d) = (?P<value>\S+)'"
+    )
+    folder = make_described(
+        f"echo UNSAFE; echo 'x0 = {x0}'; echo 'x1 = 0'",
+        more,
+        head=HEAD.replace("json", "vnnlib-1.0"),
+    )
+    done = harness(
+        "run",
+        "--tool",
+        folder,
+        "--benchmarks",
+        table.parents[1],
+        "--out",
+        tmp_path / "run",
+        "--json",
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["result"] == result
+    if result == "sat":
+        assert found["witness_check"]["outcome"] == "correct"
+    else:
+        assert "it says sat, but its witness is" in next(tmp_path.glob("run/logs/*")).read_text()
+
+
 def test_the_first_rule_that_holds_decides():
     rules = (
         {"verdict": "unsat", "all": ("a",), "none": ("b",)},
