@@ -1,6 +1,9 @@
-"""Evaluate a query exactly at given inputs and outputs.
+"""Evaluate a query at given inputs and outputs.
 
-All arithmetic is in fractions: nothing is rounded, neither a bound nor a value.
+Whether it holds is decided exactly, in fractions: nothing is rounded, neither a bound nor a value.
+Whether it holds with the tolerance is decided as VNN-COMP 2026 does, which moves a bound on an
+input by the tolerance and rounds it to the network's type. So a tool that returns a bound as the
+network reads it is credited, and has proved nothing where that is beyond the bound.
 """
 
 from __future__ import annotations
@@ -10,6 +13,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
+import numpy as np
+
 from harness.query.terms import And, Comparison, Element, Formula, Query, Relation, Term
 
 #: Absolute, of every comparison that is about inputs alone; VNN-COMP 2026's.
@@ -17,6 +22,8 @@ TOLERANCE = Fraction(1, 10_000)
 
 #: By tensor, in the order of Query.tensors, then row-major; outputs may be missing.
 Values = Sequence[Sequence[Fraction]]
+#: The network's type: rounds a float.
+Rounding = Callable[[float], np.floating]
 #: A fraction or an infinity.
 Real = Fraction | float
 
@@ -36,9 +43,9 @@ class Place:
     within: bool
 
 
-def place_inputs(query: Query, values: Values) -> Place:
+def place_inputs(query: Query, values: Values, rounding: Rounding = np.float32) -> Place:
     """Return where the inputs lie; of the outputs nothing is asked."""
-    slack = _Slack(values)
+    slack = _Slack(values, rounding)
 
     def needed(comparison: Comparison) -> tuple[Real, int]:
         if not comparison.on_inputs:
@@ -52,8 +59,8 @@ def place_inputs(query: Query, values: Values) -> Place:
     return Place(
         outside=float(outside),
         line=line if outside else None,
-        allowed=_all_hold(query, lambda c: not c.on_inputs or _holds(c, slack(c), Fraction(0))),
-        within=_all_hold(query, lambda c: not c.on_inputs or _holds(c, slack(c), TOLERANCE)),
+        allowed=_all_hold(query, lambda c: not c.on_inputs or slack.holds(c)),
+        within=_all_hold(query, lambda c: not c.on_inputs or slack.within(c)),
     )
 
 
@@ -72,20 +79,19 @@ class Finding:
     violation: float
 
 
-def evaluate(query: Query, values: Values) -> Finding:
+def evaluate(query: Query, values: Values, rounding: Rounding = np.float32) -> Finding:
     """Return what the query says at finite inputs and outputs."""
-    slack = _Slack(values)
+    slack = _Slack(values, rounding)
 
     def met(comparison: Comparison) -> tuple[Real, int]:
-        found = slack(comparison)
         if not comparison.on_inputs:
-            return -found, comparison.line
-        return (-math.inf if _holds(comparison, found, TOLERANCE) else math.inf), comparison.line
+            return -slack(comparison), comparison.line
+        return (-math.inf if slack.within(comparison) else math.inf), comparison.line
 
     missed, _ = _fold(query, met)
     return Finding(
-        holds=_all_hold(query, lambda c: _holds(c, slack(c), Fraction(0))),
-        within=_all_hold(query, lambda c: _holds(c, slack(c), TOLERANCE)),
+        holds=_all_hold(query, slack.holds),
+        within=_all_hold(query, slack.within),
         violation=-float(missed),
     )
 
@@ -116,22 +122,51 @@ def _all_hold(query: Query, holds: Callable[[Comparison], bool]) -> bool:
     return all(of(assertion) for assertion in query.assertions)
 
 
-def _holds(comparison: Comparison, slack: Fraction, tolerance: Fraction) -> bool:
+def _holds(relation: Relation, slack: Fraction, tolerance: Fraction) -> bool:
     """Return whether a comparison holds; as in VNN-COMP, != is to hold by the tolerance."""
-    allowed = tolerance if comparison.tolerant else Fraction(0)
-    if comparison.relation in (Relation.LESS, Relation.GREATER):
-        return slack > -allowed
-    if comparison.relation is Relation.DIFFERENT:
-        return slack > allowed
-    return slack >= -allowed
+    if relation in (Relation.LESS, Relation.GREATER):
+        return slack > -tolerance
+    if relation is Relation.DIFFERENT:
+        return slack > tolerance
+    return slack >= -tolerance
 
 
 class _Slack:
     """By how much a comparison holds (negative: by how much not); each is computed once."""
 
-    def __init__(self, values: Values) -> None:
-        self._values = values
+    def __init__(self, values: Values, rounding: Rounding) -> None:
+        self._values, self._rounding = values, rounding
         self._found: dict[int, Fraction] = {}
+
+    def holds(self, comparison: Comparison) -> bool:
+        """Whether it holds exactly."""
+        return _holds(comparison.relation, self(comparison), Fraction(0))
+
+    def within(self, comparison: Comparison) -> bool:
+        """Whether it holds with the tolerance on inputs, or would if its bound were rounded."""
+        tolerance = TOLERANCE if comparison.tolerant else Fraction(0)
+        if _holds(comparison.relation, self(comparison), tolerance):
+            return True
+        if not comparison.on_inputs or comparison.relation not in _AT_MOST:
+            return False
+        left, right = comparison.left, comparison.right
+        if not _AT_MOST[comparison.relation]:
+            left, right = right, left
+        if isinstance(left, Element) and isinstance(right, Fraction):
+            slack = self._rounded(right + tolerance) - self._value(left)
+        elif isinstance(left, Fraction) and isinstance(right, Element):
+            slack = self._value(right) - self._rounded(left - tolerance)
+        else:
+            return False
+        return _holds(comparison.relation, slack, Fraction(0))
+
+    def _rounded(self, bound: Fraction) -> Fraction:
+        try:
+            with np.errstate(over="ignore"):
+                rounded = float(self._rounding(float(bound)))
+        except OverflowError:
+            return bound
+        return Fraction(rounded) if math.isfinite(rounded) else bound
 
     def __call__(self, comparison: Comparison) -> Fraction:
         found = self._found.get(id(comparison))
@@ -153,6 +188,13 @@ class _Slack:
         return -values[0] if len(values) == 1 else values[0] - sum(values[1:], Fraction(0))
 
 
+#: The relations of order: whether the left side is to be the smaller one.
+_AT_MOST = {
+    Relation.AT_MOST: True,
+    Relation.LESS: True,
+    Relation.AT_LEAST: False,
+    Relation.GREATER: False,
+}
 _SLACKS: dict[Relation, Callable[[Fraction], Fraction]] = {
     Relation.AT_MOST: lambda difference: difference,
     Relation.LESS: lambda difference: difference,

@@ -81,8 +81,8 @@ def judge_witness(query: Query, network: bytes, where: str, text: bytes) -> Judg
         fed = runner.feed(read_inputs(text, query))
     except Malformed as error:
         return Judged(WitnessOutcome.MALFORMED, str(error))
-    inputs = exact(fed)
-    place = place_inputs(query, inputs)
+    inputs, rounding = exact(fed), fed[0].dtype.type
+    place = place_inputs(query, inputs, rounding)
     outside = place.outside if math.isfinite(place.outside) else None
     if not place.within:
         return Judged(WitnessOutcome.OUT_OF_BOX, _describe_place(place), outside)
@@ -93,7 +93,7 @@ def judge_witness(query: Query, network: bytes, where: str, text: bytes) -> Judg
     if not all(np.isfinite(output).all() for output in outputs):
         message = "the network returned a value that is not finite"
         return Judged(WitnessOutcome.WRONG, message, outside)
-    finding = evaluate(query, [*inputs, *exact(outputs)])
+    finding = evaluate(query, [*inputs, *exact(outputs)], rounding)
     outcome = _outcome(finding)
     violation = finding.violation if math.isfinite(finding.violation) else None
     return Judged(outcome, _describe(outcome, place, finding), outside, violation)

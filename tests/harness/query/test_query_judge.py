@@ -123,6 +123,18 @@ def test_mixed_assertion_has_no_tolerance_in_2_0():
     assert judge((both,), [1.00005], version=2).outcome is OUTCOME.OUT_OF_BOX
 
 
+def test_bound_as_the_network_reads_it_is_credited_in_a_mixed_assertion():
+    both = "(or (and (<= X_0 0.1) (>= Y_0 0.0)) (and (>= X_0 2.0) (>= Y_0 0.0)))"
+    for version in (1, 2):
+        assert judge((both,), [0.1], version=version).outcome is OUTCOME.CORRECT_WITH_TOLERANCE
+
+
+@pytest.mark.parametrize("bound", ["1e39", "9" * 400, "-1e39"])
+def test_bounds_beyond_float32(bound):
+    found = judge((f"(<= X_0 {bound})", "(>= Y_0 0.0)"), [0.5])
+    assert found.outcome is (OUTCOME.OUT_OF_BOX if bound[0] == "-" else OUTCOME.CORRECT)
+
+
 def test_polynomials_are_exact():
     # 1 + 2^-23 squared needs 47 bits: in float32 the product rounds to 1 + 2^-22.
     x = 1 + 2.0**-23

@@ -61,9 +61,13 @@ GRID = [-1.0, -0.5, 0.0, 0.5, 1.0]
 DECIMALS = ["0.1", "-0.3", "0.7", "0.33333334", "1.0000001", "0.99999999"]
 exact_bound = st.sampled_from(GRID).map(repr)
 any_bound = exact_bound | st.sampled_from(DECIMALS)
-#: Not at the end of the tolerance itself: that is rounded to float32, too.
-nudge = st.sampled_from([0.0, 1e-9, -1e-9, 5e-5, -5e-5, 9.9e-5, -9.9e-5, 1.01e-4, -1.01e-4])
-edge = st.sampled_from([9.999e-5, -9.999e-5, 1e-4, -1e-4, 1.00001e-4, -1.00001e-4])
+nudge = st.sampled_from(
+    [
+        sign * size
+        for size in (0, 1e-9, 5e-5, 9.999e-5, 1e-4, 1.00001e-4, 1.01e-4)
+        for sign in (1, -1)
+    ]
+)
 
 
 def cases(bounds):
@@ -82,7 +86,7 @@ def cases(bounds):
 
 
 @st.composite
-def asked(draw, bounds, nudge=nudge):
+def asked(draw, bounds):
     """Return cases and the decimals of an input, mostly at or near a bound."""
     chosen = draw(cases(bounds))
     box = draw(st.sampled_from(chosen)).box
@@ -117,10 +121,12 @@ def test_1_0_agrees_where_bounds_are_float32(question):
 
 
 @settings(max_examples=150)
-@given(asked(any_bound, nudge | edge))
-def test_1_0_is_never_laxer(question):
+@given(asked(any_bound))
+def test_1_0_credits_the_same_and_establishes_no_more(question):
     chosen, x = question
-    assert judged_1(chosen, x)[0] <= vnncomp_1(chosen, x, outputs(fed(x)))
+    ours, theirs = judged_1(chosen, x)[0], vnncomp_1(chosen, x, outputs(fed(x)))
+    assert (ours > 0) == (theirs > 0)
+    assert ours <= theirs
 
 
 def test_1_0_is_stricter_at_a_bound_that_float32_rounds():
