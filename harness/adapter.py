@@ -11,14 +11,16 @@ believed.
 
 from __future__ import annotations
 
+import gzip
 import json
 import os
 import re
 import subprocess
 import sys
 import threading
+import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
@@ -75,6 +77,25 @@ class Question:
         if self.spec.suffix == ".json":
             return str(json.loads(self.spec.read_text("utf-8")).get("id", self.spec.stem))
         return self.spec.stem
+
+    def unpacked(self) -> Question:
+        """Return the question with files that are not gzipped, copies where they were.
+
+        The copies lie in the scratch folder; prepare makes them, and run finds them there.
+        """
+        return replace(self, onnx=_unpack(self.onnx), spec=_unpack(self.spec))
+
+
+def _unpack(path: Path) -> Path:
+    if path.suffix != ".gz":
+        return path
+    copy = Path.cwd() / "unpacked" / path.stem
+    if not copy.exists():
+        try:
+            write_durable(copy, gzip.decompress(path.read_bytes()), sync=False)
+        except (OSError, EOFError, zlib.error) as error:
+            raise BadInput(f"{path}: cannot be unpacked ({error})") from None
+    return copy
 
 
 def check_accepted(tool: Description, question: Question) -> None:
@@ -253,7 +274,7 @@ def main(arguments: Sequence[str]) -> int:
         if action == "install":
             install(tool)
             return 0
-        question = Question(arguments[3], Path(arguments[4]), Path(arguments[5]))
+        question = Question(arguments[3], Path(arguments[4]), Path(arguments[5])).unpacked()
         if action == "prepare":
             prepare(tool, folder, question)
         else:

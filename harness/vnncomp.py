@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path, PurePosixPath
 
+from harness.catalogue import ZIPPED, is_query
 from harness.records import Record, Verdict, WitnessCheck, WitnessOutcome
 from harness.store import RunFolder
 from racecar.errors import BadInput
@@ -77,7 +78,7 @@ def export_vnncomp(folder: RunFolder, out: Path) -> list[Exported]:
     was run in both versions of VNN-LIB.
     """
     records = folder.records()
-    chosen = [record for record in records if record.spec.endswith(".vnnlib")]
+    chosen = [record for record in records if is_query(Path(record.spec))]
     if not chosen:
         raise BadInput(
             f"{folder.path}: it has no result on a VNN-LIB instance, and VNN-COMP's scoring "
@@ -144,8 +145,8 @@ def _row(record: Record, benchmark: str, version: str) -> list[str]:
     root = PurePosixPath(f"vnncomp{YEAR}_benchmarks/benchmarks", benchmark, version)
     return [
         benchmark,
-        str(root / "onnx" / PurePosixPath(record.onnx).name),
-        str(root / "vnnlib" / PurePosixPath(record.spec).name),
+        str(root / "onnx" / PurePosixPath(record.onnx).name.removesuffix(ZIPPED)),
+        str(root / "vnnlib" / PurePosixPath(record.spec).name.removesuffix(ZIPPED)),
         f"{record.prepare_time:.3f}",
         record.result,
         f"{record.run_time:.3f}",

@@ -1,8 +1,10 @@
 """Described tools through the command line, as any tool: verdicts, witnesses, refusals, crashes."""
 
+import gzip
 import json
 import shutil
 import sys
+from pathlib import Path
 
 import pytest
 from harness_helpers import LONG, harness
@@ -222,6 +224,26 @@ def test_a_checked_witness_that_earns_nothing_is_not_claimed(make_described, tmp
         assert found["witness_check"]["outcome"] == "correct"
     else:
         assert "it says sat, but its witness is" in next(tmp_path.glob("run/logs/*")).read_text()
+
+
+def test_gzipped_files_are_unpacked_before_the_tool_sees_them(make_described, tmp_path):
+    from harness.description import Format
+
+    tiny = make_tiny(tmp_path / "set", [Format.VNNLIB_2], 30)[0]
+    for path in (tiny.entry.onnx, tiny.entry.spec):
+        Path(f"{path}.gz").write_bytes(gzip.compress(path.read_bytes()))
+        path.unlink()
+    table = tmp_path / "set" / "benchmarks" / "tiny" / "instances.csv"
+    table.parent.mkdir(parents=True)
+    table.write_text(f"{tiny.entry.onnx},{tiny.entry.spec},30\n")
+    folder = make_described(
+        'grep -q "<2.0>" "$2" && [ -s "$1" ] && [ "$4" = difference_small ] && '
+        "echo SAFE && echo completed",
+        head=HEAD.replace("json", "vnnlib-2.0"),
+    )
+    options = ("--benchmarks", table.parents[1], "--out", tmp_path / "run", "--json")
+    done = harness("run", "--tool", folder, *options)
+    assert json.loads(done.stdout)["result"] == "unsat", done.stderr
 
 
 def test_the_first_rule_that_holds_decides():

@@ -93,6 +93,17 @@ def test_rows_and_paths_are_those_of_the_published_benchmarks(tmp_path):
     assert (first.folder / "vnnlib_version.txt").read_text() == "closedlap_open_loop  1.0\n"
 
 
+def test_gzipped_files_are_named_bare_as_in_the_published_csv(tmp_path):
+    run = Stored().add(
+        "a", "sat", witness=WITNESS_1, outcome="correct", spec="1.0/vnnlib/a.vnnlib.gz"
+    )
+    run.rows[0].onnx, run.rows[0].spec = "1.0/onnx/net.onnx.gz", "1.0/vnnlib/a.vnnlib.gz"
+    (done,) = export_vnncomp(run, tmp_path)
+    assert "1.0/onnx/net.onnx,vnncomp" in (done.folder / "results.csv").read_text()
+    assert "1.0/vnnlib/a.vnnlib,0.250" in (done.folder / "results.csv").read_text()
+    assert (done.folder / "net_a.counterexample.gz").is_file()
+
+
 @pytest.mark.parametrize(("version", "witness"), [("1.0", WITNESS_1), ("2.0", WITNESS_2)])
 def test_a_witness_goes_with_its_check(tmp_path, version, witness):
     run = Stored().add("a", "sat", version, witness=witness, outcome="correct_with_tolerance")
