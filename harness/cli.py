@@ -20,6 +20,7 @@ import click
 
 from harness.replay_command import replay_command
 from harness.score_command import print_score, score_command
+from harness.submit_command import submit_command, verify_command
 from racecar.command_line import DONE, Commands, print_json
 from racecar.errors import BadInput
 
@@ -46,7 +47,7 @@ def main() -> None:
     """Run verifiers on instances and judge what they answer."""
 
 
-for command in (replay_command, score_command):
+for command in (replay_command, score_command, submit_command, verify_command):
     main.add_command(command)
 
 

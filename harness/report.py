@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from harness.records import Record, Verdict, WitnessCheck, WitnessOutcome
+from harness.records import Record, RunInfo, Verdict, WitnessCheck, WitnessOutcome
 from harness.scoring import OVERALL, Conflict, Contradiction, Row, Scores
 
 if TYPE_CHECKING:
@@ -198,6 +198,17 @@ def explanation_data(explanation: Explanation, reference: str) -> dict[str, Any]
 def _one_line(text: str) -> str:
     """Return text that may be a tool's on one line, without what a terminal would obey."""
     return "".join(c if c.isprintable() else " " for c in text)
+
+
+def print_machine(info: RunInfo) -> None:
+    """Print which tool ran on what machine."""
+    machine = info.machine
+    parts = [
+        f"run of {info.tool.name} {info.tool.version or '(no version)'}, begun {info.created_at}",
+        f"{machine.get('processor')}, {machine.get('usable_cores')} cores",
+        f"{machine.get('memory_mib')} MiB, {machine.get('system')}",
+    ]
+    _console().print(_one_line("; ".join(parts)), markup=False, soft_wrap=True)
 
 
 def print_check(check: WitnessCheck) -> None:
