@@ -197,7 +197,7 @@ def _named(root: Path | None, instances: Sequence[str]) -> Iterable[Entry]:
             yield load_file(path)
             continue
         if known is None:
-            known = _everything(root) if root else []
+            known = load_everything(root) if root else []
         entry = next((e for e in known if e.spec == path or e.id == text), None)
         entry = entry or _other_version(known, path)
         if entry is not None:
@@ -216,12 +216,21 @@ def _other_version(known: Sequence[Entry], path: Path) -> Entry | None:
     """
     if not (is_query(path) and path.is_file()):
         return None
-    id, folder = instance_id(path), path.parents[1]
-    found = (e for e in known if e.id == id and is_query(e.spec) and e.spec.parents[1] == folder)
-    return next((replace(entry, spec=path) for entry in found), None)
+    same = (entry for entry in known if entry.id == instance_id(path) and is_query(entry.spec))
+    return next((e for entry in same for e in in_all_versions(entry) if e.spec == path), None)
 
 
-def _everything(root: Path) -> list[Entry]:
+def in_all_versions(entry: Entry) -> list[Entry]:
+    """Return an instance, and the same with its query in the other versions of VNN-LIB."""
+    if not is_query(entry.spec):
+        return [entry]
+    found = sorted(entry.spec.parents[1].glob(f"*/{entry.id}{VNNLIB}*"))
+    others = [path for path in found if path != entry.spec and instance_id(path) == entry.id]
+    return [entry, *(replace(entry, spec=path) for path in others)]
+
+
+def load_everything(root: Path) -> list[Entry]:
+    """Return the instances of all categories."""
     return [entry for name in category_names(root) for entry in load_category(root, name)]
 
 

@@ -21,6 +21,7 @@ import click
 from harness.export_command import export_command
 from harness.replay_command import replay_command
 from harness.score_command import print_score, score_command
+from harness.submit_command import submit_command, verify_command
 from harness.tools_command import check_tool_command, new_tool_command, tools_command
 from racecar.command_line import Commands, print_json
 from racecar.errors import BadInput
@@ -54,7 +55,9 @@ for command in (
     new_tool_command,
     replay_command,
     score_command,
+    submit_command,
     tools_command,
+    verify_command,
 ):
     main.add_command(command)
 

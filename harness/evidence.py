@@ -16,14 +16,16 @@ from racecar.errors import BadInput
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the scoring needs.
+    """What the scoring needs, and what explains it.
 
-    notes: what a reader should know about it, one line each.
+    checked: the records, each with the check of its witness, in the order of the claims; notes:
+    what a reader should know, one line each.
     """
 
     claims: list[Claim]
     references: dict[str, Reference]
     notes: list[str]
+    checked: list[tuple[Record, WitnessCheck | None]]
 
 
 def gather(folders: Sequence[RunFolder], root: Path | None, recheck: bool = False) -> Evidence:
@@ -34,6 +36,7 @@ def gather(folders: Sequence[RunFolder], root: Path | None, recheck: bool = Fals
     for an instance, or if runs were made on different versions of it.
     """
     claims: dict[tuple[str, str], Claim] = {}
+    checked: list[tuple[Record, WitnessCheck | None]] = []
     versions: dict[str, Record] = {}
     for folder in folders:
         for record in folder.records():
@@ -49,18 +52,22 @@ def gather(folders: Sequence[RunFolder], root: Path | None, recheck: bool = Fals
                     f"{folder.path}: {record.instance} is another version of the instance than "
                     "in the runs before; runs can be compared on the same files only"
                 )
-            claims[key] = _claim(record, witness_check(folder, record, root, recheck))
+            check = witness_check(folder, record, root, recheck)
+            claims[key] = claim_of(record, check)
+            checked.append((record, check))
     if not claims:
         raise BadInput("there is no result in " + ", ".join(str(f.path) for f in folders))
     references, notes = _references(versions, root)
-    return Evidence(list(claims.values()), references, notes + _unequal_limits(claims.values()))
+    notes += _unequal_limits(claims.values())
+    return Evidence(list(claims.values()), references, notes, checked)
 
 
 def _identity(record: Record) -> tuple[str, ...]:
     return record.category, record.spec_sha256, record.onnx_sha256
 
 
-def _claim(record: Record, check: WitnessCheck | None) -> Claim:
+def claim_of(record: Record, check: WitnessCheck | None) -> Claim:
+    """Return what a record, and the check of its witness, claim."""
     return Claim(
         tool=record.tool,
         category=record.category,

@@ -66,7 +66,11 @@ def test_witness_of_one_tool_refutes_another(benchmarks, contest):
     assert rows[0]["contradictions"] == [
         {"kind": "refuted", "instance": "one", "sat": ["a"], "unsat": ["b"]}
     ]
+    refuted = {"reference_refuted": 0, "refuted": 1, "unsettled": 0}
+    assert all(row["disagreements"] == refuted for row in rows)
+    assert [(r["refuted"], r["bad_witness"]) for r in rows[:2]] == [(0, 0), (1, 0)]
     assert "contradiction: quick/one: A tool's unsat is refuted" in done.stderr
+    assert done.stderr.endswith("contradictions: 1 refuted\n")
     table = harness("score", a, b, "--benchmarks", benchmarks.root).stdout
     assert "only a solved, in quick: one" in table
     assert "contradiction: quick/one" in table

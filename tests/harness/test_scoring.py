@@ -55,7 +55,9 @@ def vnncomp(claims, references):
         if reference and reference.verdict == "sat":
             valid_ce_any_tool |= reference.margin_upper is not None and reference.margin_upper <= 0
         valid_ce_this_tool = witness in ("correct", "correct_with_tolerance")
-        if result == "nothing":
+        # Theirs: a witness that the judges cannot judge is nobody's fault.
+        unsupported = result == "violated" and witness == "unsupported"
+        if result == "nothing" or unsupported:
             awarded[tool, instance] = 0
         elif (result == "violated" and not valid_ce_this_tool) or (
             result == "holds" and valid_ce_any_tool
@@ -141,6 +143,23 @@ def test_counts_add_up(contest):
 
 
 @settings(max_examples=60, deadline=None)
+@given(contests())
+def test_disagreements_by_kind_add_up(contest):
+    claims, references = contest
+    scores = score(claims, references)
+    assert sum(scores.by_kind().values()) == len(scores.contradictions)
+    categories = {c.category for c in claims}
+    for kind, count in scores.by_kind().items():
+        assert count == sum(scores.by_kind(category=c)[kind] for c in categories)
+    for row in scores.rows:
+        assert row.incorrect == row.refuted + row.bad_witness
+        category = None if row.category == "overall" else row.category
+        assert row.refuted <= scores.by_kind(row.tool, category)[Conflict.REFUTED] + sum(
+            r.verdict is SAT for r in references.values()
+        )
+
+
+@settings(max_examples=60, deadline=None)
 @given(contests(), st.randoms(use_true_random=False))
 def test_order_of_results_does_not_matter(contest, random):
     claims, references = contest
@@ -180,6 +199,7 @@ def test_nothing_that_is_refuted_earns_points(contest):
         (SAT, WitnessOutcome.OUT_OF_BOX, -150),
         (SAT, WitnessOutcome.MALFORMED, -150),
         (SAT, WitnessOutcome.MISSING, -150),
+        (SAT, WitnessOutcome.UNSUPPORTED, 0),
         (SAT, None, -150),
         (UNSAT, None, 10),
         (UNKNOWN, None, 0),
