@@ -49,12 +49,13 @@ def execute(plan: Plan, on_start: OnStart, on_result: OnResult) -> RunFolder:
         folder = RunFolder.create(plan.out)
     lock = folder.lock()
     try:
-        if folder.info_path.exists():
+        if folder.has_begun():
             _check_same(plan, folder.info())
         else:
             folder.write_info(_describe(plan))
         _run_all(plan, folder, lock, on_start, on_result)
         write_durable(folder.path / "results.csv", results_csv(folder.records()))
+        folder.finish()
     finally:
         os.close(lock)
     return folder
@@ -64,9 +65,10 @@ def _run_all(
     plan: Plan, folder: RunFolder, lock: int, on_start: OnStart, on_result: OnResult
 ) -> None:
     todo = []
+    stored = folder.instances()
     for entry in plan.entries:
         entry = replace(entry, timeout=plan.timeout or entry.timeout)  # noqa: PLW2901
-        if folder.record_path(entry.id).exists():
+        if entry.id in stored:
             _check_current(folder.record(entry.id), entry, folder)
         else:
             todo.append(entry)
@@ -74,30 +76,22 @@ def _run_all(
         return
     # The lock goes to the runner's helper too: it ends when no process of a tool is left.
     with Runner(plan.tool, plan.root, keep=(lock,)) as runner:
-        installed = folder.path / "logs" / "install_tool.log"
-        if plan.install and plan.tool.has_install and not installed.exists():
+        if plan.install and plan.tool.has_install and not folder.is_installed():
             failure, log = runner.install()
-            name = "install_tool.failed.log" if failure else installed.name
-            write_durable(installed.with_name(name), log)
+            folder.add_install(failure, log)
             if failure:
-                raise BadInput(f"{failure}; its output is in {installed.with_name(name)}")
+                raise BadInput(f"{failure}; harness log {folder.path} shows what it printed")
         for entry in todo:
             on_start(entry)
             on_result(*_store(folder, entry, runner.run(entry)))
 
 
 def _store(folder: RunFolder, entry: Entry, result: Finished) -> tuple[Record, WitnessCheck | None]:
-    """Store a result; the record comes last and stands for all the rest."""
-    record, check = result.record, None
+    record, check, witness = result.record, None, None
     if record.verdict is Verdict.SAT:
         witness = result.witness or b""
         check = check_entry(entry, record, witness)
-        name = folder.write_witness(record.instance, witness)
-        record = record.model_copy(update={"witness": name})
-        folder.write_check(check)
-    folder.write_log(record.log, result.log)
-    folder.write_record(record)
-    return record, check
+    return folder.add(record, log=result.log, witness=witness, check=check), check
 
 
 def _describe(plan: Plan) -> RunInfo:
@@ -130,6 +124,6 @@ def _check_same(plan: Plan, before: RunInfo) -> None:
 def _check_current(record: Record, entry: Entry, folder: RunFolder) -> None:
     if record.spec_sha256 != sha256(entry.spec) or record.onnx_sha256 != sha256(entry.onnx):
         raise BadInput(
-            f"{folder.record_path(entry.id)}: it is the result of another version of "
+            f"{folder.path}: its result of {entry.id} is that of another version of "
             f"{entry.spec} or its controller; start a new run with --out"
         )

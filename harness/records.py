@@ -18,7 +18,7 @@ Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Data(BaseModel):
-    """Base of all files that the harness writes: unknown fields are refused."""
+    """Base of all that the harness stores: unknown fields are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -171,8 +171,8 @@ class Record(Data):
     verdict: Verdict
     detail: str | None = Field(default=None, description="why, where the code does not say it")
     limits: Limits
-    witness: Name | None = Field(default=None, description="file name below witnesses/")
-    log: Name = Field(description="file name below logs/")
+    witness: Name | None = Field(default=None, description="its name in the run's database")
+    log: Name = Field(description="its name in the run's database")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
