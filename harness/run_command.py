@@ -8,6 +8,8 @@ import math
 import shlex
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -32,6 +34,23 @@ from racecar.errors import BadInput
     help="Seconds for every instance, instead of its own timeout.",
 )
 @click.option("--name", help="Name of the tool in the results; default: its folder's.")
+@click.option(
+    "--jobs",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Run N instances at a time, each pinned to its share of the cores; default: 1.",
+)
+@click.option(
+    "--cores-per-job",
+    type=click.IntRange(1),
+    metavar="K",
+    help="Pin each job to K cores, instead of as many as there are for each.",
+)
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Run on the workers of this Dask scheduler, as tcp://HOST:8786 (docs/clusters.md).",
+)
 @click.option("--no-install", is_flag=True, help="Don't run the tool's install_tool.sh.")
 @benchmarks_option
 @json_option
@@ -43,13 +62,17 @@ def run_command(
     resume: bool,
     timeout: float | None,
     name: str | None,
+    jobs: int | None,
+    cores_per_job: int | None,
+    scheduler: str | None,
     no_install: bool,
     benchmarks: Path | None,
     as_json: bool,
 ) -> int:
     """Run a tool on instances, check its witnesses, print results and score.
 
-    Without --category and --instance it runs on everything in the benchmarks folder.
+    Without --category and --instance it runs on everything in the benchmarks folder. Interrupted
+    or killed, it goes on with --resume.
     """
     from harness import report
     from harness.campaign import Plan, execute
@@ -68,45 +91,70 @@ def run_command(
     entries = select(root, categories, instances)
     if out is None:
         out = Path("runs") / f"{found.name}-{datetime.now():%Y%m%d-%H%M%S}"
-    plan = Plan(found, entries, root, out, resume, timeout, not no_install)
-    # Schedulers end a job with SIGTERM; it ends the run as Ctrl-C does.
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if scheduler is not None and jobs is not None:
+        raise BadInput("--jobs: with --scheduler the workers say how many run at a time")
+    plan = Plan(
+        tool=found,
+        entries=entries,
+        root=root,
+        out=out,
+        resume=resume,
+        timeout=timeout,
+        install=not no_install,
+        jobs=jobs or 1,
+        cores_per_job=cores_per_job,
+        scheduler=scheduler,
+    )
     with RunFolder(out) as run:
         stored = len(run.instances() & {entry.id for entry in entries})
     bar = report.ProgressBar(len(entries), stored, as_json)
     seen: set[str] = set()
 
     def on_result(record: Any, check: Any) -> None:
-        bar.advance()
+        bar.end(record.instance)
         seen.add(record.instance)
         if as_json:
             print_json(_result_data(record, check))
 
     try:
-        with bar:
-            folder = execute(plan, lambda entry: bar.begin(entry.id), on_result)
+        with _sigterm_interrupts(), bar:
+            execute(plan, lambda entry: bar.begin(entry.id), on_result, bar.note)
     except KeyboardInterrupt:
         if (out / DATABASE).exists():
-            again = [arg for arg in sys.argv[1:] if arg != "--resume"]
-            if not any(arg == "--out" or arg.startswith("--out=") for arg in again):
-                again += ["--out", str(out)]
-            click.echo(f"to go on: harness {shlex.join([*again, '--resume'])}", err=True)
+            click.echo(f"to go on: harness {shlex.join(_again(out))}", err=True)
         raise
-    finally:
-        signal.signal(signal.SIGTERM, before)
     wanted = {entry.id for entry in entries}
-    results = [
-        (record, witness_check(folder, record, root))
-        for record in folder.records()
-        if record.instance in wanted
-    ]
+    with RunFolder.open(out) as run:
+        results = [
+            (record, witness_check(run, record, root))
+            for record in run.records()
+            if record.instance in wanted
+        ]
     if as_json:
         for record, check in results:
             if record.instance not in seen:
                 print_json(_result_data(record, check))
     else:
         report.print_results(results)
-    return print_score([folder.path], root, not as_json, as_json=False)
+    return print_score([out], root, not as_json, as_json=False)
+
+
+@contextmanager
+def _sigterm_interrupts() -> Iterator[None]:
+    """Let SIGTERM, with which batch systems end a job, end the run as Ctrl-C does."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _again(out: Path) -> list[str]:
+    """Return the arguments that continue this run."""
+    again = [argument for argument in sys.argv[1:] if argument != "--resume"]
+    if not any(argument == "--out" or argument.startswith("--out=") for argument in again):
+        again += ["--out", str(out)]
+    return [*again, "--resume"]
 
 
 def _result_data(record: Any, check: Any) -> dict[str, Any]:
