@@ -35,7 +35,7 @@ from harness.description import (
     fill,
     load_description,
 )
-from harness.files import open_plain, write_durable
+from harness.files import open_plain
 from harness.installed import install, installed_values
 from harness.records import Verdict
 from racecar.errors import BadInput
@@ -92,9 +92,11 @@ def _unpack(path: Path) -> Path:
     copy = Path.cwd() / "unpacked" / path.stem
     if not copy.exists():
         try:
-            write_durable(copy, gzip.decompress(path.read_bytes()), sync=False)
+            content = gzip.decompress(path.read_bytes())
         except (OSError, EOFError, zlib.error) as error:
             raise BadInput(f"{path}: cannot be unpacked ({error})") from None
+        copy.parent.mkdir(exist_ok=True)
+        copy.write_bytes(content)
     return copy
 
 
@@ -134,7 +136,7 @@ def run(tool: Description, folder: Path, question: Question, results: Path, limi
         check_accepted(tool, question)
     except Refused as refused:
         print(f"unknown: {refused}", flush=True)
-        write_durable(results, f"{Verdict.UNKNOWN}\n".encode(), sync=False)
+        results.write_text(f"{Verdict.UNKNOWN}\n", "utf-8")
         return
     # Whole seconds: many tools take no others.
     timeout = max(1, int(max(limit - tool.run.reserve, limit / 2)))
@@ -151,7 +153,7 @@ def run(tool: Description, folder: Path, question: Question, results: Path, limi
         answer += find_witness(tool.witness, text, question)
         if tool.witness.check:
             answer = _checked(answer, question)
-    write_durable(results, answer.encode(), sync=False)
+    results.write_text(answer, "utf-8")
 
 
 def _checked(answer: str, question: Question) -> str:

@@ -5,19 +5,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from harness.command_options import as_path
 from racecar.command_line import DONE, print_json
 from racecar.errors import BadInput
 
-_as_path = click.Path(path_type=Path)
+if TYPE_CHECKING:
+    from harness.store import RunFolder
 
 
 @click.command("export")
-@click.argument("run", type=_as_path)
+@click.argument("run", type=as_path)
 @click.option("--layout", type=click.Choice(["csv", "vnncomp"]), default="csv", show_default=True)
-@click.option("-o", "--output", type=_as_path, required=True, metavar="PATH")
+@click.option("-o", "--output", type=as_path, required=True, metavar="PATH")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per file or folder.")
 def export_command(run: Path, layout: str, output: Path, as_json: bool) -> int:
     """Write a run's results for other programs.
@@ -27,17 +30,27 @@ def export_command(run: Path, layout: str, output: Path, as_json: bool) -> int:
     """
     from harness.store import RunFolder
 
-    folder = RunFolder.open(run)
-    if layout == "csv":
-        from harness.export import results_csv
-        from racecar.controller import write_whole
+    with RunFolder.open(run) as folder:
+        if layout == "csv":
+            _export_csv(folder, output, as_json)
+        else:
+            _export_vnncomp(folder, output, as_json)
+    return DONE
 
-        if output.is_dir():
-            raise BadInput(f"{output}: it is a folder; give a file")
-        write_whole(output, results_csv(folder.records()))
-        if as_json:
-            print_json({"file": str(output), "rows": len(folder.records())})
-        return DONE
+
+def _export_csv(folder: RunFolder, output: Path, as_json: bool) -> None:
+    from harness.export import results_csv
+    from racecar.controller import write_whole
+
+    if output.is_dir():
+        raise BadInput(f"{output}: it is a folder; give a file")
+    records = folder.records()
+    write_whole(output, results_csv(records))
+    if as_json:
+        print_json({"file": str(output), "rows": len(records)})
+
+
+def _export_vnncomp(folder: RunFolder, output: Path, as_json: bool) -> None:
     from harness.vnncomp import export_vnncomp
 
     if output.is_file():
@@ -49,4 +62,3 @@ def export_command(run: Path, layout: str, output: Path, as_json: bool) -> int:
             print_json({"folder": str(done.folder), "rows": done.rows, "witnesses": done.witnesses})
         else:
             click.echo(f"wrote {done.folder}: {done.rows} results, {done.witnesses} witnesses")
-    return DONE

@@ -18,7 +18,7 @@ Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Data(BaseModel):
-    """Base of all files that the harness writes: unknown fields are refused."""
+    """Base of all that the harness stores: unknown fields are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -176,8 +176,9 @@ class Record(Data):
     verdict: Verdict
     detail: str | None = Field(default=None, description="why, where the code does not say it")
     limits: Limits
-    witness: Name | None = Field(default=None, description="file name below witnesses/")
-    log: Name = Field(description="file name below logs/")
+    witness: Name | None = Field(default=None, description="its name in the run's database")
+    log: Name = Field(description="its name in the run's database")
+    host: str | None = Field(default=None, description="name of the machine that it ran on")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -186,6 +187,10 @@ class Record(Data):
         if self.run_time > self.limits.wall_s and self.verdict in (Verdict.SAT, Verdict.UNSAT):
             raise ValueError(f"result is {self.result}, but run_time is above the limit")
         return self
+
+
+#: A description of a machine: what timings depend on, by name.
+Machine = dict[str, str | int | float | None]
 
 
 class ToolInfo(Data):
@@ -207,4 +212,7 @@ class RunInfo(Data):
     timeout_s: Seconds | None = Field(description="of every instance, where one was asked for")
     created_at: str = Field(description="UTC, ISO 8601")
     harness_version: str
-    machine: dict[str, str | int | float | None]
+    machine: Machine = Field(description="where the harness ran")
+    workers: dict[str, Machine] = Field(
+        default={}, description="other machines that instances were run on, by their host names"
+    )

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import click
 
+from harness.command_options import as_path
 from racecar.command_line import CHECK_FAILED, DONE, print_json
 from racecar.errors import BadInput
 
 if TYPE_CHECKING:
     from harness.tool import Tool
 
-_as_path = click.Path(path_type=Path)
 _MARKS = {"good": "ok   ", "doubt": "?    ", "wrong": "WRONG"}
 
 
@@ -61,7 +61,7 @@ def _row(tool: Tool) -> tuple[str, ...]:
 @click.command("new-tool")
 @click.argument("name")
 @click.option("--toml", "described", is_flag=True, help="A description instead of scripts.")
-@click.option("-o", "--output", type=_as_path, metavar="DIR", help="Default: ./NAME.")
+@click.option("-o", "--output", type=as_path, metavar="DIR", help="Default: ./NAME.")
 def new_tool_command(name: str, described: bool, output: Path | None) -> int:
     """Make a folder to start a tool from; it runs as it is, and answers unknown."""
     from harness.scaffold import make_tool_folder

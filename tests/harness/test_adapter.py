@@ -7,10 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from harness_helpers import LONG, harness
+from harness_helpers import LONG, harness, log_of
 
 from harness.adapter import Question, find_witness, judge
 from harness.description import Result, Witness
+from harness.store import RunFolder
 from harness.tiny import make_tiny
 from racecar.errors import BadInput
 
@@ -85,7 +86,7 @@ def test_verdict_is_what_the_rules_say(benchmarks, make_described, marker, tmp_p
 def test_what_it_is_told_and_what_the_log_holds(benchmarks, make_described, tmp_path):
     spec = benchmarks.add("a", timeout=7.5)
     results(benchmarks, make_described('echo "$@"; echo err >&2'), tmp_path)
-    log = (tmp_path / "run" / "logs" / "a.log").read_text()
+    log = log_of(tmp_path / "run", "a")
     # A reserve of one second, then whole seconds.
     assert log == f"{benchmarks.onnx} {spec} 6 a quick\nerr\n"
 
@@ -102,7 +103,7 @@ def test_sat_without_a_witness_is_no_answer(benchmarks, make_described, tmp_path
     benchmarks.add("crash", steps=LONG)
     found = results(benchmarks, make_described("echo UNSAFE"), tmp_path)
     assert found["crash"]["verdict"] == "error"
-    log = (tmp_path / "run" / "logs" / "crash.log").read_text()
+    log = log_of(tmp_path / "run", "crash")
     assert "the witness is not where the description says" in log
 
 
@@ -122,7 +123,7 @@ def test_what_it_does_not_read_is_unknown_at_once(benchmarks, make_described, tm
     head = HEAD.replace('"json"', '"vnnlib-2.0"')
     found = results(benchmarks, make_described("exit 9", head=head), tmp_path)
     assert found["a"]["result"] == "unknown"
-    log = (tmp_path / "run" / "logs" / "a.log").read_text()
+    log = log_of(tmp_path / "run", "a")
     assert "described reads vnnlib-2.0, and this is json" in log
     head = HEAD + 'categories = ["lap"]\n'
     found = results(benchmarks, make_described("exit 9", head=head), tmp_path)
@@ -154,7 +155,8 @@ def test_a_program_of_the_users_is_found_or_asked_for(
     (folder / "tool.toml").write_text(text)
     done = harness("run", "--tool", folder, "--benchmarks", benchmarks.root, cwd=tmp_path)
     assert done.returncode == 2
-    log = next(tmp_path.glob("runs/*/logs/install_tool.failed.log")).read_text()
+    with RunFolder.open(next(tmp_path.glob("runs/*"))) as run:
+        log = run.install_log().decode()
     assert log == "error: described: get the prover; then set PROVER_HOME to its path\n"
     prover = tmp_path / "prover"
     prover.write_text("#!/bin/sh\necho SAFE; echo completed\n")
@@ -223,7 +225,7 @@ def test_a_checked_witness_that_earns_nothing_is_not_claimed(make_described, tmp
     if result == "sat":
         assert found["witness_check"]["outcome"] == "correct"
     else:
-        assert "it says sat, but its witness is" in next(tmp_path.glob("run/logs/*")).read_text()
+        assert "it says sat, but its witness is" in log_of(tmp_path / "run", "difference_large")
 
 
 def test_gzipped_files_are_unpacked_before_the_tool_sees_them(make_described, tmp_path):

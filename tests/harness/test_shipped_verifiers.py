@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from harness_helpers import harness
+from harness_helpers import harness, log_of
 from tools_venv import installed
 
 from harness.adapter import judge
@@ -48,7 +48,7 @@ def test_tools_for_closed_loops_say_unknown_to_networks_at_once(tmp_path, tool, 
     monkeypatch.setenv("FLOWSTAR", "/bin/false")
     found = run(tool, benchmarks_of(tmp_path, [Format.VNNLIB_1], 1), tmp_path)
     assert {r["result"] for r in found.values()} == {"unknown"}
-    log = (tmp_path / "run" / "logs" / "difference_small.log").read_text()
+    log = log_of(tmp_path / "run", "difference_small")
     assert "not read VNN-LIB" in log or "flowstar reads json" in log
 
 
