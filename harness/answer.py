@@ -39,14 +39,15 @@ def parse_answer(content: bytes) -> Answer:
     """Read the content of a result file.
 
     As in VNN-COMP, white space in the first line and upper case don't matter, and a first line
-    that begins with ``timeout`` is a timeout.
+    that begins with ``timeout``, or with ``timed-out`` (the word of VNN-LIB 2.0), is a timeout.
     """
     first, _, rest = content.partition(b"\n")
     line = first[:_LONGEST_LINE].decode("ascii", errors="replace")
     word = re.sub(r"\s", "", line).lower()
     if not word:
         return Answer(NO_RESULT, detail="the first line of the result file is empty")
-    verdict = Verdict.TIMEOUT if word.startswith("timeout") else _ANSWERS.get(word)
+    late = word.startswith(("timeout", "timed-out"))
+    verdict = Verdict.TIMEOUT if late else _ANSWERS.get(word)
     if verdict is None:
         detail = f"the first line of the result file is {line[:60]!r}, not an answer"
         return Answer(Verdict.ERROR, detail=detail)
