@@ -11,6 +11,7 @@ from harness.description import description_schema, fill, load_description
 from harness.tool import SHIPPED, find_tool, shipped_tools
 from racecar.errors import BadInput
 
+DOCS = Path(__file__).parents[2] / "docs"
 SMALL = """
 format = "closedlap-tool-1.0"
 name = "small"
@@ -104,11 +105,18 @@ def test_a_folder_with_both_kinds_is_refused(tmp_path):
 
 
 def test_published_schema_is_current_and_takes_what_ships():
-    published = json.loads((SHIPPED / "tool.schema.json").read_text())
+    published = json.loads((DOCS / "tool.schema.json").read_text())
     assert published == description_schema()
     jsonschema.Draft202012Validator.check_schema(published)
     for path in SHIPPED.glob("*/tool.toml"):
         jsonschema.validate(tomllib.loads(path.read_text()), published)
+
+
+def test_the_example_in_the_docs_is_one(tmp_path):
+    text = (DOCS / "tool-interface.md").read_text()
+    example = text.partition("```toml\n")[2].partition("```")[0]
+    tool = load(tmp_path, example)
+    assert (tool.name, tool.run.reserve, tool.witness.check) == ("prover", 2, True)
 
 
 def test_every_shipped_tool_says_what_it_is():
