@@ -15,6 +15,7 @@ import gzip
 import json
 import os
 import re
+import select
 import subprocess
 import sys
 import threading
@@ -40,8 +41,8 @@ from harness.installed import install, installed_values
 from harness.records import Verdict
 from racecar.errors import BadInput
 
-#: Of what a tool prints or writes so many bytes at either end are looked at.
-_MOST_TEXT = 1 << 24
+#: A longer text (bytes) is not looked at: a part of it might lack what speaks against a verdict.
+MOST_TEXT = 1 << 26
 _USAGE = "usage: python -m harness.adapter install|prepare|run FOLDER v1 [CATEGORY ONNX SPEC ...]"
 
 
@@ -158,6 +159,7 @@ def run(tool: Description, folder: Path, question: Question, results: Path, limi
 
 def _checked(answer: str, question: Question) -> str:
     """Return the answer, or unknown where the judge of witnesses would not credit its witness."""
+    # Slow to import, and needed for a witness only.
     from harness.catalogue import Entry  # noqa: PLC0415
     from harness.checks import judge_entry  # noqa: PLC0415
 
@@ -199,8 +201,8 @@ def find_witness(witness: Witness, text: str, question: Question) -> str:
     return write_counterexample(spec, inputs, network_outputs(question.onnx, inputs))
 
 
-def call(step: Step, values: Mapping[str, str]) -> str:
-    """Run a command; return what it printed. Raises Ended."""
+def call(step: Step, values: Mapping[str, str]) -> bytes:
+    """Run a command; return what it printed, up to a little more than MOST_TEXT. Raises Ended."""
     command = [fill(word, values) for word in step.command]
     environment = {name: fill(text, values) for name, text in step.environment.items()}
     source = Path(fill(step.stdin, values)) if step.stdin else Path(os.devnull)
@@ -218,50 +220,52 @@ def call(step: Step, values: Mapping[str, str]) -> str:
     assert process.stdout is not None
     tee = Tee(process.stdout)
     status = process.wait()
-    text = tee.finish()
+    printed = tee.finish()
     if status not in step.status:
         raise Ended(status)
-    return text
+    return printed
 
 
 class Tee:
-    """Passes on what a process prints, and keeps both ends of it."""
+    """Passes on what a process prints, and keeps it."""
 
     #: A process that outlives the command may hold its output open; it is waited for so long (s).
-    PATIENCE_S = 1.0
+    PATIENCE_S = 0.5
 
     def __init__(self, stream: IO[bytes]) -> None:
         self._stream = stream
-        self._head, self._tail = bytearray(), bytearray()
+        self._kept = bytearray()
         self._thread = threading.Thread(target=self._pump, daemon=True)
         self._thread.start()
 
     def _pump(self) -> None:
         while chunk := os.read(self._stream.fileno(), 1 << 16):
+            if len(self._kept) <= MOST_TEXT:
+                self._kept += chunk
             os.write(sys.stdout.fileno(), chunk)
-            room = _MOST_TEXT - len(self._head)
-            self._head += chunk[:room]
-            self._tail += chunk[room:]
-            if len(self._tail) > 2 * _MOST_TEXT:
-                del self._tail[:-_MOST_TEXT]
 
-    def finish(self) -> str:
-        """Return what was printed."""
+    def finish(self) -> bytes:
+        """Return all that was printed, when the command has ended."""
         self._thread.join(self.PATIENCE_S)
-        return bytes(self._head + self._tail).decode("utf-8", errors="replace")
+        while self._thread.is_alive() and select.select([self._stream], [], [], 0)[0]:
+            self._thread.join(0.01)
+        return bytes(self._kept)
 
 
-def _found(file: str | None, values: Mapping[str, str], printed: str) -> str:
+def _found(file: str | None, values: Mapping[str, str], printed: bytes) -> str:
     """Return the text of a file that the tool wrote, nothing if there is none; or the output."""
-    if file is None:
-        return printed
-    path = fill(file, values)
-    try:
-        with open_plain(Path(path)) as written:
-            return written.read(_MOST_TEXT).decode("utf-8", errors="replace")
-    except OSError:
-        print(f"there is no file {path}", flush=True)
-        return ""
+    content, what = printed, "what it prints"
+    if file is not None:
+        what = fill(file, values)
+        try:
+            with open_plain(Path(what)) as written:
+                content = written.read(MOST_TEXT + 1)
+        except OSError:
+            print(f"there is no file {what}", flush=True)
+            return ""
+    if len(content) > MOST_TEXT:
+        raise BadInput(f"{what} is longer than {MOST_TEXT} bytes, too long to be looked at")
+    return content.decode("utf-8", errors="replace")
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 import subprocess
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -105,12 +106,12 @@ def _scripts(tool: Tool) -> Iterator[Finding]:
 
 def _try(tool: Tool, runner: Runner, tiny: Tiny, watched: Sequence[Path]) -> Iterator[Finding]:
     where = f"{tiny.entry.id} ({tiny.format})"
-    before = [_snapshot(folder) for folder in watched]
+    # A tool's own folder may hold half a system, the current one anything.
+    before = [_snapshot(folder, folder == watched[0]) for folder in watched]
     finished = runner.run(tiny.entry)
     for folder, old in zip(watched, before, strict=True):
-        changed = sorted(
-            str(path) for path, state in _snapshot(folder).items() if old.get(path) != state
-        )
+        now = _snapshot(folder, folder == watched[0])
+        changed = sorted(str(path) for path, state in now.items() if old.get(path) != state)
         if changed:
             # Its own folder is its own affair as long as it runs one instance at a time.
             theirs = folder != watched[0]
@@ -239,20 +240,14 @@ def _end(log: bytes) -> str:
     return " | ".join([line for line in lines if line][-_LOG_LINES:]) or "(it printed nothing)"
 
 
-def _snapshot(folder: Path) -> dict[Path, tuple[int, int]]:
-    """Return the files below a folder with their times and sizes; of the current one only itself.
-
-    Python's caches are no concern of ours.
-    """
-    names = folder.iterdir() if folder == Path.cwd() else folder.rglob("*")
+def _snapshot(folder: Path, deep: bool) -> dict[Path, tuple[int, int]]:
+    """Return the files in a folder, if ``deep`` below it too, with their times and sizes."""
     found = {}
-    for path in names:
-        if "__pycache__" in path.parts:
-            continue
+    for path in folder.rglob("*") if deep else folder.iterdir():
         try:
             state = path.lstat()
         except OSError:
             continue
-        if not path.is_dir():
+        if not stat.S_ISDIR(state.st_mode):
             found[path] = (state.st_mtime_ns, state.st_size)
     return found

@@ -160,7 +160,7 @@ class Witness(Data):
 
     text: the group ``witness`` of the pattern (all of the text without one) is the witness.
     values: every match of ``inputs`` is the value of an input of the network; it is written in
-    the specification's own syntax. Outputs are computed by onnxruntime where not found.
+    the specification's own syntax, with the outputs that onnxruntime computes.
     """
 
     form: Literal["text", "values"]
@@ -226,7 +226,9 @@ class Description(About):
 
     def _templates(self) -> Iterator[tuple[str, str, set[str]]]:
         """Yield all texts with placeholders: where they stand, and which they may have."""
-        installed = {"folder", "python", "bin", *self.programs}
+        installed = {"folder", "python", *self.programs}
+        if self.install.packages:
+            installed.add("bin")
         instance = installed | {"onnx", "spec", "category", "id", "work"}
         everything = instance | {"results", "limit", "timeout"}
         for word in (self.version and self.version.command) or ():
@@ -254,6 +256,15 @@ PLACEHOLDERS = {
     "python": "the Python that runs the harness",
     "bin": "the programs of the tool's own virtual environment",
 }
+
+
+def own_files(tool: Description) -> list[str]:
+    """Return the names of files in the tool's folder that its commands name."""
+    steps = [*tool.prepare, tool.run]
+    words = [word for step in steps for word in _words(step)]
+    return sorted(
+        {word.removeprefix("{folder}/") for word in words if word.startswith("{folder}/")}
+    )
 
 
 def _words(step: Step) -> Iterator[str]:

@@ -17,6 +17,7 @@ from harness.description import (
     fill,
     load_about,
     load_description,
+    own_files,
 )
 from harness.installed import installed_values
 from harness.machine import package_version
@@ -61,8 +62,10 @@ class Tool:
     def info(self) -> ToolInfo:
         """Return the tool as data."""
         digest = hashlib.sha256()
-        described = self.description is not None
-        for script in (DESCRIPTION,) if described else (INSTALL, PREPARE, RUN):
+        scripts = [INSTALL, PREPARE, RUN]
+        if self.description is not None:
+            scripts = [DESCRIPTION, *own_files(self.description)]
+        for script in scripts:
             path = self.folder / script
             digest.update(script.encode() + b"\0")
             digest.update(path.read_bytes() if path.is_file() else b"")

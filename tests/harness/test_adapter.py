@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from harness_helpers import LONG, harness, log_of
 
+from harness import adapter
 from harness.adapter import Question, find_witness, judge
 from harness.description import Result, Witness
 from harness.store import RunFolder
@@ -73,7 +74,7 @@ def results(benchmarks, folder, tmp_path, *options):
     ("echo SAFE; echo completed; echo 'Error: none'", "unknown"),
     ("echo SAFE; echo completed; exit 3", "error_exit_code_3"),
     ("echo SAFE; echo completed; kill -SEGV $$", "error_exit_code_139"),
-    ("head -c 40000000 /dev/zero; echo; echo SAFE; echo completed", "unsat"),
+    ("head -c 1000000 /dev/zero; echo; echo SAFE; echo completed", "unsat"),
     ("(sleep 20 &) ; echo SAFE; echo completed", "unsat"),
 ])  # fmt: skip
 def test_verdict_is_what_the_rules_say(benchmarks, make_described, marker, tmp_path,
@@ -81,6 +82,19 @@ def test_verdict_is_what_the_rules_say(benchmarks, make_described, marker, tmp_p
     benchmarks.add("a")
     found = results(benchmarks, make_described(printed), tmp_path)
     assert found["a"]["result"] == verdict
+
+
+def test_what_is_too_long_to_be_read_whole_is_not_believed(
+    benchmarks, make_described, tmp_path, monkeypatch, capfd
+):
+    # The adapter is a process of its own elsewhere; here the limit is made small.
+    monkeypatch.setattr(adapter, "MOST_TEXT", 1000)
+    folder = make_described("head -c 2000 /dev/zero; echo; echo SAFE; echo completed")
+    spec = benchmarks.add("a")
+    arguments = ("quick", str(benchmarks.onnx), str(spec), str(tmp_path / "result.txt"), "10")
+    assert adapter.main(["run", str(folder), "v1", *arguments]) == 2
+    assert "what it prints is longer than 1000 bytes" in capfd.readouterr().err
+    assert not (tmp_path / "result.txt").exists()
 
 
 def test_what_it_is_told_and_what_the_log_holds(benchmarks, make_described, tmp_path):

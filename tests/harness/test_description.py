@@ -43,7 +43,8 @@ def test_a_small_description_has_sensible_defaults(tmp_path):
 
 
 @pytest.mark.parametrize(("old", "new", "complaint"), [
-    ("{spec}", "{spek}", "run: {spek} is unknown; choose from {bin}, {category}"),
+    ("{spec}", "{spek}", "run: {spek} is unknown; choose from {category}, {folder}"),
+    ('"prove"', '"{bin}/prove"', "run: {bin} is unknown"),  # nothing is installed
     ("'^safe$'", "'(safe'", "result.rules.0.all.0: '(safe' is not a regular expression"),
     ('form = "rules"', 'form = "vnncomp"', "result: form 'rules' needs rules"),
     ('verdict = "unsat"', 'verdict = "sat"', "witness: a tool that answers sat must give"),

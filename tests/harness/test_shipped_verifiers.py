@@ -13,7 +13,7 @@ from harness.tool import find_tool
 
 
 def check(name):
-    done = harness("check-tool", name, "--no-install", "--json")
+    done = harness("check-tool", name, "--no-install", "--timeout", "120", "--json")
     return done.returncode, [json.loads(line) for line in done.stdout.splitlines()]
 
 
