@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
-from harness.counterexample import is_version_2, network_outputs, write_counterexample
 from harness.description import (
     DESCRIPTION,
     Description,
@@ -43,6 +42,8 @@ from racecar.errors import BadInput
 
 #: A longer text (bytes) is not looked at: a part of it might lack what speaks against a verdict.
 MOST_TEXT = 1 << 26
+_COMMENT = re.compile(r";.*")
+_VERSION_2 = re.compile(r"\(\s*vnnlib-version\s*<\s*2\.\d+\s*>\s*\)")
 _USAGE = "usage: python -m harness.adapter install|prepare|run FOLDER v1 [CATEGORY ONNX SPEC ...]"
 
 
@@ -70,8 +71,8 @@ class Question:
         """Return the format of the specification."""
         if self.spec.suffix == ".json":
             return Format.JSON
-        head = self.spec.read_text("utf-8", errors="replace")
-        return Format.VNNLIB_2 if is_version_2(head) else Format.VNNLIB_1
+        text = _COMMENT.sub("", self.spec.read_text("utf-8", errors="replace"))
+        return Format.VNNLIB_2 if _VERSION_2.search(text) else Format.VNNLIB_1
 
     def id(self) -> str:
         """Return the instance's ID: what its JSON says, else the name of the file."""
@@ -196,9 +197,11 @@ def find_witness(witness: Witness, text: str, question: Question) -> str:
     }
     if sorted(found) != list(range(len(found))) or not found:
         raise BadInput(f"it says sat, but gives the inputs {sorted(found)} of the network only")
+    # Slow to import, and needed for a witness only.
+    from harness.counterexample import counterexample_for  # noqa: PLC0415
+
     inputs = [found[index] for index in range(len(found))]
-    spec = question.spec.read_text("utf-8")
-    return write_counterexample(spec, inputs, network_outputs(question.onnx, inputs))
+    return counterexample_for(question.onnx, question.spec, inputs)
 
 
 def call(step: Step, values: Mapping[str, str]) -> bytes:

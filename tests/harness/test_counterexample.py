@@ -4,9 +4,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.counterexample import declared_tensors, is_version_2, write_counterexample
+from harness.adapter import Question
+from harness.counterexample import counterexample_for, write_counterexample
+from harness.description import Format
 from harness.query.read import read_query
 from harness.query.witness import read_inputs
+from harness.tiny import make_tiny
 from racecar.errors import BadInput
 
 numbers = st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=6)
@@ -34,8 +37,9 @@ def spec_2(inputs, outputs):
 @given(inputs=numbers, outputs=numbers)
 def test_inputs_come_back_exactly(make_spec, inputs, outputs):
     spec = make_spec(len(inputs), len(outputs))
-    text = write_counterexample(spec, inputs, outputs)
-    (back,) = read_inputs(text.encode(), read_query(spec, "spec"))
+    query = read_query(spec, "spec")
+    text = write_counterexample(query, inputs, outputs)
+    (back,) = read_inputs(text.encode(), query)
     assert list(back) == inputs
     # VNN-COMP's own reader of 1.0 wants this and no other white space.
     if make_spec is spec_1:
@@ -43,25 +47,22 @@ def test_inputs_come_back_exactly(make_spec, inputs, outputs):
         assert text.endswith("))\n")
 
 
-def test_versions_are_told_apart_by_the_header_alone():
-    assert is_version_2(spec_2(1, 1))
-    assert not is_version_2(spec_1(1, 1))
-    assert not is_version_2("; (vnnlib-version <2.0>)\n" + spec_1(1, 1))
+@pytest.mark.parametrize("format_", [Format.VNNLIB_1, Format.VNNLIB_2])
+def test_versions_are_told_apart_by_the_header_alone(tmp_path, format_):
+    spec = tmp_path / "a.vnnlib"
+    text = spec_1(1, 1) if format_ is Format.VNNLIB_1 else spec_2(1, 1)
+    spec.write_text(
+        f"; (vnnlib-version <{'2.0' if format_ is Format.VNNLIB_1 else '1.0'}>)\n{text}"
+    )
+    assert Question("tiny", spec, spec).format() is format_
 
 
-def test_tensors_are_read_in_order():
-    found = declared_tensors(spec_2(3, 2))
-    assert [(t.kind, t.name, t.type, t.shape, t.size) for t in found] == [
-        ("input", "image", "real", (1, 3), 3),
-        ("output", "Y", "float32", (2,), 2),
-    ]
-
-
-@pytest.mark.parametrize(("spec", "complaint"), [
-    (spec_2(2, 1), "image has 2 values, the witness 1"),
-    (spec_2(1, 2), "Y has 2 values, the witness 1"),
-    (spec_2(1, 1).replace("output", "hidden"), "does not declare one input and one output"),
-])  # fmt: skip
-def test_other_sizes_are_refused(spec, complaint):
-    with pytest.raises(BadInput, match=complaint):
-        write_counterexample(spec, [1.0], [2.0])
+@pytest.mark.parametrize("format_", [Format.VNNLIB_1, Format.VNNLIB_2])
+def test_outputs_are_those_of_the_network(tmp_path, format_):
+    tiny = make_tiny(tmp_path, [format_], 1)[1].entry  # y = x0 - x1
+    text = counterexample_for(tiny.onnx, tiny.spec, [1.0, 0.25])
+    assert "0.75" in text
+    with pytest.raises(BadInput, match="takes 2 inputs, the witness has 1"):
+        counterexample_for(tiny.onnx, tiny.spec, [1.0])
+    with pytest.raises(BadInput, match="too large"):
+        counterexample_for(tiny.onnx, tiny.spec, [1e300, 0.0])

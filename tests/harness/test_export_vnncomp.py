@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import pytest
 from harness_helpers import harness
 
+from generator.vnncomp import benchmark_name as published_name
 from harness import vnncomp
 from harness.records import WitnessCheck, verdict_of
 from harness.tiny import make_tiny
@@ -162,6 +163,12 @@ def test_versions_are_not_mixed_and_nothing_is_overwritten(tmp_path):
     with pytest.raises(BadInput, match="2026_closedlap_open_loop: it exists"):
         export_vnncomp(run, tmp_path)
     assert not (tmp_path / "prover" / "2026_closedlap_unrolled").exists()
+
+
+def test_benchmarks_are_called_as_they_are_published():
+    for category in ("open_loop", "unrolled"):
+        assert vnncomp.benchmark_name(category) == published_name(category)
+        assert vnncomp.benchmark_name(published_name(category)) == published_name(category)
 
 
 def test_a_folder_is_complete_or_absent(tmp_path, monkeypatch):
