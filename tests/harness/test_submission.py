@@ -121,7 +121,7 @@ def test_files_match_the_published_schema(packed):
 
 
 def test_published_schema_is_current():
-    from query.query_helpers import REPOSITORY
+    from query_helpers import REPOSITORY
 
     assert (REPOSITORY / "docs" / "submission.schema.json").read_text() == schema_text()
     assert harness("submit", "--schema").stdout == schema_text()
