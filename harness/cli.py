@@ -11,35 +11,18 @@ import math
 import shlex
 import signal
 import sys
-from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import click
 
+from harness.command_options import as_path, benchmarks_option, json_option
 from harness.replay_command import replay_command
 from harness.score_command import print_score, score_command
 from harness.submit_command import submit_command, verify_command
 from racecar.command_line import DONE, Commands, print_json
 from racecar.errors import BadInput
-
-_as_path = click.Path(path_type=Path)
-
-
-def _json_option(command: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option("--json", "as_json", is_flag=True, help="Print one JSON object a result.")(
-        command
-    )
-
-
-def _benchmarks_option(command: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option(
-        "--benchmarks",
-        type=_as_path,
-        metavar="DIR",
-        help="Benchmarks folder; default: ./benchmarks, else the one beside the harness.",
-    )(command)
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -55,7 +38,7 @@ for command in (replay_command, score_command, submit_command, verify_command):
 @click.option("--tool", required=True, help="A tool that ships, or a folder with its scripts.")
 @click.option("--category", "categories", multiple=True, help="A category; may be repeated.")
 @click.option("--instance", "instances", multiple=True, help="An instance file, or an ID.")
-@click.option("--out", type=_as_path, help="Run folder; default: runs/TOOL-DATE-TIME.")
+@click.option("--out", type=as_path, help="Run folder; default: runs/TOOL-DATE-TIME.")
 @click.option("--resume", is_flag=True, help="Continue the run in --out.")
 @click.option(
     "--timeout",
@@ -65,8 +48,8 @@ for command in (replay_command, score_command, submit_command, verify_command):
 )
 @click.option("--name", help="Name of the tool in the results; default: its folder's.")
 @click.option("--no-install", is_flag=True, help="Don't run the tool's install_tool.sh.")
-@_benchmarks_option
-@_json_option
+@benchmarks_option
+@json_option
 def run_command(
     tool: str,
     categories: tuple[str, ...],
@@ -145,9 +128,9 @@ def _result_data(record: Any, check: Any) -> dict[str, Any]:
 
 
 @main.command("export")
-@click.argument("run", type=_as_path)
+@click.argument("run", type=as_path)
 @click.option("--layout", type=click.Choice(["csv"]), default="csv", show_default=True)
-@click.option("-o", "--output", type=_as_path, required=True, metavar="FILE")
+@click.option("-o", "--output", type=as_path, required=True, metavar="FILE")
 def export_command(run: Path, layout: str, output: Path) -> int:
     """Write a run's results as VNN-COMP's six columns, no header."""
     from harness.export import results_csv
