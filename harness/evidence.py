@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from harness.catalogue import Reference, load_references, sha256
 from harness.checks import witness_check
@@ -12,6 +13,9 @@ from harness.records import Record, WitnessCheck
 from harness.scoring import Claim
 from harness.store import RunFolder
 from racecar.errors import BadInput
+
+if TYPE_CHECKING:
+    from harness.submission.source import Submitted
 
 
 @dataclass(frozen=True)
@@ -28,8 +32,10 @@ class Evidence:
     checked: list[tuple[Record, WitnessCheck | None]]
 
 
-def gather(folders: Sequence[RunFolder], root: Path | None, recheck: bool = False) -> Evidence:
-    """Read runs and reference results.
+def gather(
+    folders: Sequence[RunFolder | Submitted], root: Path | None, recheck: bool = False
+) -> Evidence:
+    """Read runs, or submissions, and reference results.
 
     recheck: replay every witness again. A witness that has no check, or was changed since, is
     replayed in any case, from the instances in ``root``. BadInput if a tool has two results
@@ -39,7 +45,7 @@ def gather(folders: Sequence[RunFolder], root: Path | None, recheck: bool = Fals
     checked: list[tuple[Record, WitnessCheck | None]] = []
     versions: dict[str, Record] = {}
     for folder in folders:
-        for record in folder.records():
+        for record, check in _results(folder, root, recheck):
             key = (record.tool, record.instance)
             if key in claims:
                 raise BadInput(
@@ -52,7 +58,6 @@ def gather(folders: Sequence[RunFolder], root: Path | None, recheck: bool = Fals
                     f"{folder.path}: {record.instance} is another version of the instance than "
                     "in the runs before; runs can be compared on the same files only"
                 )
-            check = witness_check(folder, record, root, recheck)
             claims[key] = claim_of(record, check)
             checked.append((record, check))
     if not claims:
@@ -60,6 +65,16 @@ def gather(folders: Sequence[RunFolder], root: Path | None, recheck: bool = Fals
     references, notes = _references(versions, root)
     notes += _unequal_limits(claims.values())
     return Evidence(list(claims.values()), references, notes, checked)
+
+
+def _results(
+    folder: RunFolder | Submitted, root: Path | None, recheck: bool
+) -> Iterable[tuple[Record, WitnessCheck | None]]:
+    if not isinstance(folder, RunFolder):
+        yield from folder.checked
+        return
+    for record in folder.records():
+        yield record, witness_check(folder, record, root, recheck)
 
 
 def _identity(record: Record) -> tuple[str, ...]:

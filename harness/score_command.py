@@ -33,12 +33,14 @@ def score_command(
 ) -> int:
     """Score runs by VNN-COMP's rules.
 
-    Ends with status 1 if a witness refutes a reference result.
+    RUN is a run folder, or the file of a submission, which is verified first. Ends with status 1
+    if a witness refutes a reference result.
     """
     from harness.catalogue import find_root
 
     unique = list({path.resolve(): path for path in runs}.values())
-    root = find_root(benchmarks) or _named_by(unique[0])
+    folders = [path for path in unique if not path.is_file()]
+    root = find_root(benchmarks) or (_named_by(folders[0]) if folders else None)
     if explain is not None:
         return _explain(explain, unique, root, as_json, recheck)
     return print_score(unique, root, not as_json, as_json, recheck)
@@ -82,8 +84,12 @@ def _scored(runs: Sequence[Path], root: Path | None, recheck: bool) -> tuple[Evi
     from harness.evidence import gather
     from harness.scoring import score
     from harness.store import RunFolder
+    from harness.submission.source import open_submission
 
-    evidence = gather([RunFolder.open(path) for path in runs], root, recheck)
+    sources = [
+        open_submission(path, root) if path.is_file() else RunFolder.open(path) for path in runs
+    ]
+    evidence = gather(sources, root, recheck)
     for note in evidence.notes:
         click.echo(f"note: {note}", err=True)
     return evidence, score(evidence.claims, evidence.references)

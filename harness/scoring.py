@@ -17,6 +17,9 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import ClassVar
+
+from pydantic import ConfigDict
 
 from harness.catalogue import Reference
 from harness.records import Verdict, WitnessOutcome
@@ -117,13 +120,15 @@ class Contradiction:
 
 @dataclass(frozen=True)
 class Row:
-    """One tool's result in one category, or overall.
+    """One tool's result in one category, or overall; a submission holds such rows.
 
     sat, unsat: correct ones; incorrect: unsat that a witness refutes (refuted), and sat whose
     witness does not hold (bad_witness); missing: instances that it was not run on though another
     tool was; par2_s: mean over all instances of the time of a correct answer, or twice the limit;
     unique: instances that it alone solved.
     """
+
+    __pydantic_config__: ClassVar = ConfigDict(extra="forbid")
 
     tool: str
     category: str

@@ -56,11 +56,12 @@ def place_inputs(query: Query, values: Values, rounding: Rounding = np.float32) 
         return max(-found, Fraction(0)), comparison.line
 
     outside, line = _fold(query, needed)
+    allowed = _all_hold(query, lambda c: not c.on_inputs or slack.holds(c))
     return Place(
-        outside=float(outside),
+        outside=_float(outside),
         line=line if outside else None,
-        allowed=_all_hold(query, lambda c: not c.on_inputs or slack.holds(c)),
-        within=_all_hold(query, lambda c: not c.on_inputs or slack.within(c)),
+        allowed=allowed,
+        within=allowed or _all_hold(query, lambda c: not c.on_inputs or slack.within(c)),
     )
 
 
@@ -86,13 +87,14 @@ def evaluate(query: Query, values: Values, rounding: Rounding = np.float32) -> F
     def met(comparison: Comparison) -> tuple[Real, int]:
         if not comparison.on_inputs:
             return -slack(comparison), comparison.line
-        return (-math.inf if slack.within(comparison) else math.inf), comparison.line
+        inside = slack.holds(comparison) or slack.within(comparison)
+        return (-math.inf if inside else math.inf), comparison.line
 
     missed, _ = _fold(query, met)
     return Finding(
         holds=_all_hold(query, slack.holds),
         within=_all_hold(query, slack.within),
-        violation=-float(missed),
+        violation=-_float(missed),
     )
 
 
@@ -106,6 +108,14 @@ def _fold(query: Query, rate: Callable[[Comparison], tuple[Real, int]]) -> tuple
         return choose([of(part) for part in formula.parts], key=_amount)
 
     return max([of(assertion) for assertion in query.assertions], key=_amount)
+
+
+def _float(value: Real) -> float:
+    """Return the nearest float, an infinity beyond all floats."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
 
 
 def _amount(rating: tuple[Real, int]) -> Real:

@@ -112,6 +112,8 @@ def _describe_place(place: Place) -> str:
         return ""
     if not math.isfinite(place.outside):
         return "the inputs are not allowed"
+    if place.outside == 0:
+        return "an input lies on a bound that excludes it"
     where = f" (line {place.line})" if place.line else ""
     return f"an input lies {place.outside:.3g} outside{where}"
 

@@ -236,16 +236,19 @@ def _tensors_in(term: Term) -> set[int]:
 
 
 def _shared_tolerance(assertion: Formula) -> Formula:
-    """Take the tolerance from an assertion that is about outputs too, as VNN-COMP does for 2.0."""
-    if all(comparison.on_inputs for comparison in comparisons(assertion)):
-        return assertion
-    return _without_tolerance(assertion)
+    """Give all of an assertion the tolerance, or none of it, as VNN-COMP does for 2.0.
+
+    It is for assertions that are about inputs and about nothing else.
+    """
+    found = list(comparisons(assertion))
+    tolerant = all(c.on_inputs for c in found) and any(c.tolerant for c in found)
+    return _with_tolerance(assertion, tolerant)
 
 
-def _without_tolerance(formula: Formula) -> Formula:
+def _with_tolerance(formula: Formula, tolerant: bool) -> Formula:
     if isinstance(formula, Comparison):
-        return replace(formula, tolerant=False)
-    return type(formula)(tuple([_without_tolerance(part) for part in formula.parts]))
+        return replace(formula, tolerant=tolerant)
+    return type(formula)(tuple([_with_tolerance(part, tolerant) for part in formula.parts]))
 
 
 def comparisons(formula: Formula) -> Iterator[Comparison]:

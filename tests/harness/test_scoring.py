@@ -124,6 +124,38 @@ def test_agrees_with_vnncomp(contest):
         assert rows[tool, "overall"].percent == pytest.approx(total)
 
 
+def par2(claims, tool, category):
+    """Return the mean of run times, twice the limit (the largest given) for what is not solved."""
+    awarded, _, _ = vnncomp(claims, {})
+    times = []
+    for instance in {c.instance for c in claims if category in ("overall", c.category)}:
+        limit = max(c.timeout for c in claims if c.instance == instance)
+        mine = [c for c in claims if (c.tool, c.instance) == (tool, instance)]
+        solved = mine and awarded[tool, instance] > 0
+        times.append(mine[0].run_time if solved else 2 * limit)
+    return sum(times) / len(times)
+
+
+def solved_alone(claims, tool, category):
+    awarded, _, _ = vnncomp(claims, {})
+    in_category = {c.instance for c in claims if c.category == category}
+    solved = {i for i in in_category if awarded.get((tool, i), 0) > 0}
+    others = {i for (other, i), points in awarded.items() if other != tool and points > 0}
+    takes_part = len({c.tool for c in claims if c.category == category}) > 1
+    return sorted(solved - others) if takes_part else []
+
+
+@settings(max_examples=60, deadline=None)
+@given(contests())
+def test_par2_and_unique_solves(contest):
+    claims, _ = contest
+    for row in score(claims, {}).rows:
+        assert row.par2_s == pytest.approx(par2(claims, row.tool, row.category))
+        categories = {c.category for c in claims} if row.category == "overall" else {row.category}
+        alone = [solved_alone(claims, row.tool, category) for category in categories]
+        assert sorted(row.unique) == sorted(instance for part in alone for instance in part)
+
+
 @settings(max_examples=60, deadline=None)
 @given(contests())
 def test_counts_add_up(contest):

@@ -96,6 +96,19 @@ def test_round_trip(packed):
     assert shown.stdout.endswith("valid: 4 results, 2 witnesses replayed\n")
 
 
+def test_submissions_are_scored_like_runs(packed, tmp_path):
+    run, benchmarks, archive = packed
+    where = ("--benchmarks", benchmarks.root, "--json")
+    assert harness("score", archive, *where) == harness("score", run, *where)
+    done = harness("score", archive, run, *where)
+    assert (done.returncode, "already has a result for" in done.stderr) == (2, True)
+    files = files_of(archive)
+    edit(RECORDS, tool="other")(files)
+    done = harness("score", rebuilt(files, tmp_path / "x.tar.gz"), *where)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert "not a valid submission (one: it is a result of other" in done.stderr
+
+
 def test_same_run_gives_the_same_bytes(packed, tmp_path):
     run, benchmarks, archive = packed
     again = submit(run, tmp_path / "b.tar.gz", "--benchmarks", benchmarks.root)
@@ -121,7 +134,7 @@ def test_files_match_the_published_schema(packed):
 
 
 def test_published_schema_is_current():
-    from query.query_helpers import REPOSITORY
+    from query_helpers import REPOSITORY
 
     assert (REPOSITORY / "docs" / "submission.schema.json").read_text() == schema_text()
     assert harness("submit", "--schema").stdout == schema_text()

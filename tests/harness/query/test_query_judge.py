@@ -129,7 +129,17 @@ def test_bound_as_the_network_reads_it_is_credited_in_a_mixed_assertion():
         assert judge((both,), [0.1], version=version).outcome is OUTCOME.CORRECT_WITH_TOLERANCE
 
 
-@pytest.mark.parametrize("bound", ["1e39", "9" * 400, "-1e39"])
+def test_different_is_strict_or_by_the_tolerance():
+    assertions = ("(!= X_0 1.0)", "(<= X_0 2.0)", "(>= Y_0 0.0)")
+    assert judge(assertions, [1 + 5e-5], version=2).outcome is OUTCOME.CORRECT
+    assert judge(assertions, [1.0], version=2).outcome is OUTCOME.OUT_OF_BOX
+    # Where another bound needs the tolerance, it is to hold by the tolerance.
+    near = ("(!= X_0 1.99995)", "(<= X_0 2.0)", "(>= Y_0 0.0)")
+    assert judge(near, [2 + 4e-5], version=2).outcome is OUTCOME.OUT_OF_BOX
+    assert judge(near, [2 + 9e-5], version=2).outcome is OUTCOME.CORRECT_WITH_TOLERANCE
+
+
+@pytest.mark.parametrize("bound", ["1e39", "9" * 400, "-1e39", "-" + "9" * 400])
 def test_bounds_beyond_float32(bound):
     found = judge((f"(<= X_0 {bound})", "(>= Y_0 0.0)"), [0.5])
     assert found.outcome is (OUTCOME.OUT_OF_BOX if bound[0] == "-" else OUTCOME.CORRECT)

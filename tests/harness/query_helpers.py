@@ -9,9 +9,9 @@ from onnx import TensorProto, helper, numpy_helper
 
 from harness.query.read import read_query
 
-sys.path.insert(0, str(Path(__file__).parents[2]))  # vnnlib_reader
+sys.path.insert(0, str(Path(__file__).parents[1]))  # vnnlib_reader
 
-REPOSITORY = Path(__file__).parents[3]
+REPOSITORY = Path(__file__).parents[2]
 PUBLISHED = sorted((REPOSITORY / "vnnlib").glob("*/*/*.vnnlib*"))
 
 
