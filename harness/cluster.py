@@ -61,8 +61,7 @@ class ClusterJobs:
         self._hashes: dict[Path, str] = {}
         self._session = uuid.uuid4().hex
         self._futures: dict[str, Future] = {}
-        # What Dask says of lost workers is not for the person who waits.
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        _silence()
         try:
             self._client = self._connected()
         except (OSError, ValueError) as error:
@@ -235,3 +234,10 @@ class ClusterJobs:
     ) -> None:
         self.stop()
         self._close()
+
+
+def _silence() -> None:
+    """Keep from the person who waits what Dask logs of everything that is lost."""
+    for name in [*logging.root.manager.loggerDict]:
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
