@@ -25,6 +25,7 @@ from harness.records import (
 from harness.runner import Finished, Runner
 from harness.tiny import Tiny, make_tiny
 from harness.tool import INSTALL, PREPARE, RUN, Tool
+from racecar.errors import BadInput
 
 #: So many of the last lines of a tool's output are shown where it failed.
 _LOG_LINES = 5
@@ -159,7 +160,11 @@ _WRONG_VERDICT = (
 
 
 def _witness(tiny: Tiny, record: Record, witness: bytes, where: str) -> Finding:
-    check = check_entry(tiny.entry, record, witness)
+    try:
+        check = check_entry(tiny.entry, record, witness)
+    except BadInput as error:
+        advice = "leave the instance's files as they are"
+        return Finding(Level.WRONG, where, f"its witness cannot be judged: {error}", advice)
     if check.establishes_sat:
         return Finding(
             Level.GOOD, where, f"sat in {record.run_time:.2f} s, with a witness that is right"

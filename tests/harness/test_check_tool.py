@@ -92,6 +92,12 @@ def test_writing_beside_the_instance_is_wrong(make_tool, marker):
     assert "TMPDIR" in wrong[0]["advice"]
 
 
+def test_changing_the_instance_is_wrong(make_tool, marker):
+    status, found = check(make_tool(f'{RIGHT}\necho >> "$4"'))
+    assert status == 1
+    assert any("cannot be judged" in f["what"] for f in found)
+
+
 def test_writing_into_its_own_folder_is_a_doubt(make_tool, marker):
     status, found = check(make_tool(f'{RIGHT}\necho $ID >> "$(dirname "$0")/log"'))
     assert status == 0
