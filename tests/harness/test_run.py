@@ -215,8 +215,8 @@ def test_install_runs_once_and_must_succeed(benchmarks, make_tool, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--tool", "nope"], "tool 'nope' is unknown; choose one of reference, simulate"),
-        (["--tool", "{empty}"], "it has no prepare_instance.sh"),
+        (["--tool", "nope"], "tool 'nope' is unknown; choose one of abcrown, "),
+        (["--tool", "{empty}"], "it has neither tool.toml nor prepare_instance.sh"),
         (["--tool", "{tool}", "--category", "nope"], "category 'nope' is unknown"),
         (["--tool", "{tool}", "--instance", "nope"], "instance nope: there is no such file"),
         (["--tool", "{tool}", "--benchmarks", "{empty}"], "it holds no category"),
