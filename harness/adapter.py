@@ -4,9 +4,9 @@
     python -m harness.adapter prepare  FOLDER v1 CATEGORY ONNX SPEC
     python -m harness.adapter run      FOLDER v1 CATEGORY ONNX SPEC RESULTS TIMEOUT
 
-FOLDER holds ``tool.toml``. What the tool prints is passed on as it comes. A command that ends
-with another status than described ends the adapter with that status; nothing that it printed is
-believed.
+Before all that may stand ``--cache DIR``: where environments are kept, whatever HOME is now. FOLDER
+holds ``tool.toml``. What the tool prints is passed on as it comes. A command that ends with another
+status than described ends the adapter with that status; nothing that it printed is believed.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from harness.description import (
     fill,
     load_description,
 )
+from harness.environments import CACHE_VARIABLE
 from harness.files import open_plain
 from harness.installed import install, installed_values
 from harness.records import Verdict
@@ -273,6 +274,9 @@ def _found(file: str | None, values: Mapping[str, str], printed: bytes) -> str:
 
 def main(arguments: Sequence[str]) -> int:
     """Take one step; return the exit status."""
+    if arguments[:1] == ["--cache"]:
+        os.environ[CACHE_VARIABLE] = arguments[1]
+        arguments = arguments[2:]
     counts = {"install": 0, "prepare": 3, "run": 5}
     if len(arguments) < 3 or len(arguments) != 3 + counts.get(arguments[0], -1):
         print(_USAGE, file=sys.stderr)

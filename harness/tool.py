@@ -19,6 +19,7 @@ from harness.description import (
     load_description,
     own_files,
 )
+from harness.environments import cache_folder
 from harness.installed import installed_values
 from harness.machine import package_version
 from harness.records import ToolInfo
@@ -55,8 +56,16 @@ class Tool:
         """Return the command for a script; through bash, so that no x bit is needed."""
         if self.description is not None:
             # -P: the scratch folder, in which it runs, must not hold modules to import.
-            adapter = [sys.executable, "-P", "-m", "harness.adapter", _ACTIONS[script]]
-            return [*adapter, str(self.folder), INTERFACE, *arguments]
+            # --cache: the tool may be given another HOME than the one it was installed in.
+            adapter = [
+                sys.executable,
+                "-P",
+                "-m",
+                "harness.adapter",
+                "--cache",
+                str(cache_folder()),
+            ]
+            return [*adapter, _ACTIONS[script], str(self.folder), INTERFACE, *arguments]
         return ["bash", str(self.folder / script), INTERFACE, *arguments]
 
     def info(self) -> ToolInfo:

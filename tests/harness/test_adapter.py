@@ -2,18 +2,22 @@
 
 import gzip
 import json
+import os
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from harness_helpers import LONG, harness, log_of
 
-from harness import adapter
+from harness import adapter, environments
 from harness.adapter import Question, find_witness, judge
 from harness.description import Result, Witness
+from harness.environments import ensure_environment, environment_folder
 from harness.store import RunFolder
 from harness.tiny import make_tiny
+from harness.tool import RUN, find_tool
 from racecar.errors import BadInput
 
 HEAD = """
@@ -262,6 +266,27 @@ def test_gzipped_files_are_unpacked_before_the_tool_sees_them(make_described, tm
     assert json.loads(done.stdout)["result"] == "unsat", done.stderr
 
 
+def test_what_is_installed_is_found_whatever_home_the_tool_gets(
+    benchmarks, make_described, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("CLOSEDLAP_CACHE", str(tmp_path / "cache"))
+    folder = make_described("", RULES + '[install]\npackages = [["prover==1"]]\n')
+    text = (folder / "tool.toml").read_text().replace('"bash"', '"{bin}/prover"')
+    (folder / "tool.toml").write_text(text)
+    environment = environment_folder("described", [["prover==1"]])
+    made = environment / "bin"
+    monkeypatch.setattr(environments, "_call", lambda *_: made.mkdir(parents=True, exist_ok=True))
+    ensure_environment("described", [["prover==1"]], 1)
+    program = environment / "bin" / "prover"
+    program.write_text("#!/bin/bash\necho SAFE; echo completed\n")
+    program.chmod(0o755)
+    command = find_tool(str(folder)).command(RUN, "quick", str(benchmarks.onnx),
+        str(benchmarks.add("a")), str(tmp_path / "result.txt"), "10")  # fmt: skip
+    other = {"HOME": str(tmp_path / "home"), "PATH": os.environ["PATH"]}
+    subprocess.run(command, cwd=tmp_path, env=other, check=True)
+    assert (tmp_path / "result.txt").read_text() == "unsat\n"
+
+
 def test_the_first_rule_that_holds_decides():
     rules = (
         {"verdict": "unsat", "all": ("a",), "none": ("b",)},
@@ -272,8 +297,6 @@ def test_the_first_rule_that_holds_decides():
 
 
 def test_wrong_usage_of_the_adapter_is_one_line(tmp_path):
-    import subprocess
-
     done = subprocess.run(
         [sys.executable, "-m", "harness.adapter", "run", tmp_path, "v1"],
         capture_output=True, text=True, check=False,
