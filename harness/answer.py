@@ -8,6 +8,7 @@ from pathlib import Path
 
 from harness.files import open_plain
 from harness.records import NO_RESULT, Verdict
+from racecar.errors import BadInput
 
 #: A longer witness (bytes) is not read: it is malformed.
 LARGEST_WITNESS = 1 << 24
@@ -38,14 +39,15 @@ def parse_answer(content: bytes) -> Answer:
     """Read the content of a result file.
 
     As in VNN-COMP, white space in the first line and upper case don't matter, and a first line
-    that begins with ``timeout`` is a timeout.
+    that begins with ``timeout``, or with ``timed-out`` (the word of VNN-LIB 2.0), is a timeout.
     """
     first, _, rest = content.partition(b"\n")
     line = first[:_LONGEST_LINE].decode("ascii", errors="replace")
     word = re.sub(r"\s", "", line).lower()
     if not word:
         return Answer(NO_RESULT, detail="the first line of the result file is empty")
-    verdict = Verdict.TIMEOUT if word.startswith("timeout") else _ANSWERS.get(word)
+    late = word.startswith(("timeout", "timed-out"))
+    verdict = Verdict.TIMEOUT if late else _ANSWERS.get(word)
     if verdict is None:
         detail = f"the first line of the result file is {line[:60]!r}, not an answer"
         return Answer(Verdict.ERROR, detail=detail)
@@ -62,6 +64,15 @@ def read_answer(path: Path) -> Answer:
         return Answer(NO_RESULT, detail="there is no result file")
     except OSError as error:
         return Answer(NO_RESULT, detail=f"result file: {error.strerror}")
+
+
+def read_witness(path: Path) -> bytes:
+    """Return the witness in a file: the file itself, or what follows ``sat``; BadInput if bad."""
+    try:
+        with path.open("rb") as file:
+            return witness_in(file.read(2 * LARGEST_WITNESS))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror})") from None
 
 
 def witness_in(content: bytes) -> bytes:

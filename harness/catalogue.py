@@ -1,6 +1,7 @@
 """The benchmarks folder: categories, their instances, and the reference results.
 
-- CATEGORY/instances.csv: onnx, spec, timeout; no header; paths relative to CATEGORY
+- CATEGORY/instances.csv: onnx, spec, timeout; no header; paths relative to CATEGORY; a file
+  that is there only with .gz after its name is meant, too
 - CATEGORY/reference.csv: a header with instance, verdict, margin_lower, margin_upper, ...
 """
 
@@ -12,7 +13,7 @@ import math
 import os
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import harness
@@ -20,6 +21,7 @@ from harness.records import Verdict
 from racecar.errors import BadInput
 
 INSTANCES, REFERENCE = "instances.csv", "reference.csv"
+VNNLIB, ZIPPED = ".vnnlib", ".gz"
 #: Timeout, in seconds, of an instance that stands in no instances.csv.
 DEFAULT_TIMEOUT_S = 60.0
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]{0,199}")
@@ -27,7 +29,11 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]{0,199}")
 
 @dataclass(frozen=True)
 class Entry:
-    """One instance to run: its files and its time limit in seconds."""
+    """One instance to run: its files and its time limit in seconds.
+
+    spec: JSON for a closed loop, VNN-LIB (.vnnlib) for a network. VNN-LIB files and their
+    networks may be gzipped.
+    """
 
     id: str
     category: str
@@ -99,14 +105,30 @@ def load_category(root: Path, name: str) -> list[Entry]:
         where = f"{file}, line {line}"
         if len(row) != 3:
             raise BadInput(f"{where}: {len(row)} columns; it must have onnx, spec, timeout")
-        onnx, spec = (Path(os.path.normpath(folder / part.strip())) for part in row[:2])
-        for path in (onnx, spec):
-            if not path.is_file():
-                raise BadInput(f"{where}: there is no file {path}")
-        if not _NAME.fullmatch(spec.stem):
-            raise BadInput(f"{where}: {spec.stem!r} does not serve as an instance's ID")
-        entries.append(Entry(spec.stem, name, onnx, spec, _timeout(row[2], where)))
+        onnx, spec = (_there(folder / part.strip(), where) for part in row[:2])
+        id = instance_id(spec)
+        if not _NAME.fullmatch(id):
+            raise BadInput(f"{where}: {id!r} does not serve as an instance's ID")
+        entries.append(Entry(id, name, onnx, spec, _timeout(row[2], where)))
     return entries
+
+
+def instance_id(spec: Path) -> str:
+    """Return the ID of the instance that a file in a category specifies: its name, bare."""
+    return spec.with_suffix("").stem if spec.suffix == ZIPPED else spec.stem
+
+
+def is_query(spec: Path) -> bool:
+    """Whether a specification is VNN-LIB, by its name."""
+    return [part for part in spec.suffixes if part != ZIPPED][-1:] == [VNNLIB]
+
+
+def _there(path: Path, where: str) -> Path:
+    path = Path(os.path.normpath(path))
+    for found in (path, path.with_name(path.name + ZIPPED)):
+        if found.is_file():
+            return found
+    raise BadInput(f"{where}: there is no file {path}")
 
 
 def _timeout(text: str, where: str) -> float:
@@ -121,6 +143,11 @@ def _timeout(text: str, where: str) -> float:
 
 def load_file(path: Path) -> Entry:
     """Return the instance of a JSON file that need not stand in a category."""
+    if is_query(path):
+        raise BadInput(
+            f"{path}: a VNN-LIB file does not name its network; give one that a category's "
+            f"{INSTANCES} lists, or the same in the other version of VNN-LIB"
+        )
     # Slow to import, and needed for loose files only.
     from racecar.instance import (  # noqa: PLC0415
         controller_path,
@@ -165,12 +192,14 @@ def _named(root: Path | None, instances: Sequence[str]) -> Iterable[Entry]:
     known: list[Entry] | None = None
     for text in instances:
         path = Path(text).resolve()
-        if path.is_file() and not (root and path.is_relative_to(root)):
+        inside = root is not None and (path.is_relative_to(root) or is_query(path))
+        if path.is_file() and not inside:
             yield load_file(path)
             continue
         if known is None:
-            known = _everything(root) if root else []
+            known = load_everything(root) if root else []
         entry = next((e for e in known if e.spec == path or e.id == text), None)
+        entry = entry or _other_version(known, path)
         if entry is not None:
             yield entry
         elif path.is_file():
@@ -180,7 +209,28 @@ def _named(root: Path | None, instances: Sequence[str]) -> Iterable[Entry]:
             raise BadInput(f"instance {text}: there is no such file, {where}")
 
 
-def _everything(root: Path) -> list[Entry]:
+def _other_version(known: Sequence[Entry], path: Path) -> Entry | None:
+    """Return the instance that a VNN-LIB file asks in another version than the one listed.
+
+    The versions lie side by side: vnnlib/CATEGORY/1.0/ID.vnnlib and vnnlib/CATEGORY/2.0/ID.vnnlib.
+    """
+    if not (is_query(path) and path.is_file()):
+        return None
+    same = (entry for entry in known if entry.id == instance_id(path) and is_query(entry.spec))
+    return next((e for entry in same for e in in_all_versions(entry) if e.spec == path), None)
+
+
+def in_all_versions(entry: Entry) -> list[Entry]:
+    """Return an instance, and the same with its query in the other versions of VNN-LIB."""
+    if not is_query(entry.spec):
+        return [entry]
+    found = sorted(entry.spec.parents[1].glob(f"*/{entry.id}{VNNLIB}*"))
+    others = [path for path in found if path != entry.spec and instance_id(path) == entry.id]
+    return [entry, *(replace(entry, spec=path) for path in others)]
+
+
+def load_everything(root: Path) -> list[Entry]:
+    """Return the instances of all categories."""
     return [entry for name in category_names(root) for entry in load_category(root, name)]
 
 

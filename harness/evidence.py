@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from harness.catalogue import Reference, load_references, sha256
 from harness.checks import witness_check
@@ -13,30 +14,38 @@ from harness.scoring import Claim
 from harness.store import RunFolder
 from racecar.errors import BadInput
 
+if TYPE_CHECKING:
+    from harness.submission.source import Submitted
+
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the scoring needs.
+    """What the scoring needs, and what explains it.
 
-    notes: what a reader should know about it, one line each.
+    checked: the records, each with the check of its witness, in the order of the claims; notes:
+    what a reader should know, one line each.
     """
 
     claims: list[Claim]
     references: dict[str, Reference]
     notes: list[str]
+    checked: list[tuple[Record, WitnessCheck | None]]
 
 
-def gather(folders: Sequence[RunFolder], root: Path | None, recheck: bool = False) -> Evidence:
-    """Read runs and reference results.
+def gather(
+    folders: Sequence[RunFolder | Submitted], root: Path | None, recheck: bool = False
+) -> Evidence:
+    """Read runs, or submissions, and reference results.
 
     recheck: replay every witness again. A witness that has no check, or was changed since, is
     replayed in any case, from the instances in ``root``. BadInput if a tool has two results
     for an instance, or if runs were made on different versions of it.
     """
     claims: dict[tuple[str, str], Claim] = {}
+    checked: list[tuple[Record, WitnessCheck | None]] = []
     versions: dict[str, Record] = {}
     for folder in folders:
-        for record in folder.records():
+        for record, check in _results(folder, root, recheck):
             key = (record.tool, record.instance)
             if key in claims:
                 raise BadInput(
@@ -49,18 +58,31 @@ def gather(folders: Sequence[RunFolder], root: Path | None, recheck: bool = Fals
                     f"{folder.path}: {record.instance} is another version of the instance than "
                     "in the runs before; runs can be compared on the same files only"
                 )
-            claims[key] = _claim(record, witness_check(folder, record, root, recheck))
+            claims[key] = claim_of(record, check)
+            checked.append((record, check))
     if not claims:
         raise BadInput("there is no result in " + ", ".join(str(f.path) for f in folders))
     references, notes = _references(versions, root)
-    return Evidence(list(claims.values()), references, notes + _unequal_limits(claims.values()))
+    notes += _unequal_limits(claims.values())
+    return Evidence(list(claims.values()), references, notes, checked)
+
+
+def _results(
+    folder: RunFolder | Submitted, root: Path | None, recheck: bool
+) -> Iterable[tuple[Record, WitnessCheck | None]]:
+    if not isinstance(folder, RunFolder):
+        yield from folder.checked
+        return
+    for record in folder.records():
+        yield record, witness_check(folder, record, root, recheck)
 
 
 def _identity(record: Record) -> tuple[str, ...]:
     return record.category, record.spec_sha256, record.onnx_sha256
 
 
-def _claim(record: Record, check: WitnessCheck | None) -> Claim:
+def claim_of(record: Record, check: WitnessCheck | None) -> Claim:
+    """Return what a record, and the check of its witness, claim."""
     return Claim(
         tool=record.tool,
         category=record.category,

@@ -18,7 +18,7 @@ Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Data(BaseModel):
-    """Base of all files that the harness writes: unknown fields are refused."""
+    """Base of all that the harness stores: unknown fields are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -59,7 +59,7 @@ def verdict_of(result: str) -> Verdict:
 
 
 class WitnessOutcome(StrEnum):
-    """What the independent replay of a witness found."""
+    """What the independent check of a witness found."""
 
     CORRECT = "correct"
     CORRECT_WITH_TOLERANCE = "correct_with_tolerance"
@@ -67,6 +67,7 @@ class WitnessOutcome(StrEnum):
     OUT_OF_BOX = "out_of_box"
     MALFORMED = "malformed"
     MISSING = "missing"
+    UNSUPPORTED = "unsupported"
 
     @property
     def sentence(self) -> str:
@@ -86,31 +87,34 @@ class WitnessOutcome(StrEnum):
 
 _SENTENCES = {
     WitnessOutcome.CORRECT: (
-        "The start lies in the initial set, the disturbance is allowed, "
-        "and the car enters the unsafe set."
+        "The instance allows what the witness gives, and it leads into the unsafe set."
     ),
     WitnessOutcome.CORRECT_WITH_TOLERANCE: (
-        "The car enters the unsafe set only up to the tolerance: "
+        "It leads into the unsafe set only up to the tolerance: "
         "the tool is credited, the instance is not thereby known to be sat."
     ),
-    WitnessOutcome.WRONG: "The car stays out of the unsafe set in this run.",
+    WitnessOutcome.WRONG: "What the witness gives does not lead into the unsafe set.",
     WitnessOutcome.OUT_OF_BOX: (
-        "The start lies outside the initial set, or the noise beyond its bound, by more than the "
-        "tolerance, or the rays given may not be missing."
+        "The witness gives what the instance does not allow: a number is off by more than the "
+        "tolerance, or rays are missing that may not be."
     ),
-    WitnessOutcome.MALFORMED: (
-        "The witness cannot be read as a start state and the disturbance that is asked for."
-    ),
+    WitnessOutcome.MALFORMED: "The witness has not the form that the instance asks for.",
     WitnessOutcome.MISSING: "There is no witness.",
+    WitnessOutcome.UNSUPPORTED: (
+        "The harness cannot judge witnesses of this instance: the answer earns and costs nothing."
+    ),
 }
 
 
 class WitnessCheck(Data):
     """The independent check of one witness.
 
-    margin (m) is the replayed run's least margin in continuous time; outside is the largest
-    distance of a number from what the instance allows, in its own unit (0: allowed), null where
-    rays are given that may not be missing. Both are null when there was nothing to replay.
+    Closed loops: margin (m) is the replayed run's least margin in continuous time. VNN-LIB
+    queries: violation is by how much the network's outputs meet the condition that the query
+    asserts of them (negative: by how much they miss it), in the outputs' own unit. outside is the
+    largest distance of a number from what the instance allows, in its own unit (0: allowed); null
+    where no distance tells, as with rays that may not be missing. Where there was nothing to
+    replay, or nothing that has such a number, it is null.
     """
 
     format: Literal["closedlap-witness-check"] = "closedlap-witness-check"
@@ -118,7 +122,8 @@ class WitnessCheck(Data):
     instance: Name
     outcome: WitnessOutcome
     message: str
-    margin: float | None = None
+    margin: float | None = Field(default=None, description="closed loops; m")
+    violation: float | None = Field(default=None, description="VNN-LIB; unit of the outputs")
     outside: float | None = None
     witness_sha256: Sha256
     spec_sha256: Sha256
@@ -171,8 +176,9 @@ class Record(Data):
     verdict: Verdict
     detail: str | None = Field(default=None, description="why, where the code does not say it")
     limits: Limits
-    witness: Name | None = Field(default=None, description="file name below witnesses/")
-    log: Name = Field(description="file name below logs/")
+    witness: Name | None = Field(default=None, description="its name in the run's database")
+    log: Name = Field(description="its name in the run's database")
+    host: str | None = Field(default=None, description="name of the machine that it ran on")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -181,6 +187,10 @@ class Record(Data):
         if self.run_time > self.limits.wall_s and self.verdict in (Verdict.SAT, Verdict.UNSAT):
             raise ValueError(f"result is {self.result}, but run_time is above the limit")
         return self
+
+
+#: A description of a machine: what timings depend on, by name.
+Machine = dict[str, str | int | float | None]
 
 
 class ToolInfo(Data):
@@ -202,4 +212,7 @@ class RunInfo(Data):
     timeout_s: Seconds | None = Field(description="of every instance, where one was asked for")
     created_at: str = Field(description="UTC, ISO 8601")
     harness_version: str
-    machine: dict[str, str | int | float | None]
+    machine: Machine = Field(description="where the harness ran")
+    workers: dict[str, Machine] = Field(
+        default={}, description="other machines that instances were run on, by their host names"
+    )

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from harness.answer import LARGEST_WITNESS, witness_in
+from harness.answer import LARGEST_WITNESS, read_witness
 from harness.given import Malformed, check_shape, complaint, given_steps, make_faults
 from harness.machine import versions
 from harness.records import WitnessCheck, WitnessOutcome
@@ -209,10 +209,4 @@ def _describe(outcome: WitnessOutcome, place: Position, margin: float) -> str:
 
 def check_file(spec: Path, path: Path) -> WitnessCheck:
     """Check a witness file (or a result file) against an instance file; BadInput for bad files."""
-    instance = load_instance(spec)
-    try:
-        with path.open("rb") as file:
-            content = file.read(2 * LARGEST_WITNESS)
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror})") from None
-    return check_witness(instance, spec, witness_in(content))
+    return check_witness(load_instance(spec), spec, read_witness(path))

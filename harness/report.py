@@ -8,15 +8,17 @@ rich is imported when something is printed: with --json it never is.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from harness.records import Record, Verdict, WitnessCheck, WitnessOutcome
+from harness.records import Record, RunInfo, Verdict, WitnessCheck, WitnessOutcome
 from harness.scoring import OVERALL, Conflict, Contradiction, Row, Scores
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from harness.explain import Explanation
 
 #: Columns where the output is not a terminal, so that IDs stay in one piece.
 _WIDE = 200
@@ -56,14 +58,27 @@ class ProgressBar:
             transient=True,
         )
         self._task = self._bar.add_task("", total=total, completed=completed)
+        self._running: dict[str, None] = {}
 
     def begin(self, instance: str) -> None:
-        """Show which instance runs now."""
-        self._bar.update(self._task, description=instance)
+        """Show that an instance runs now; may be called from any thread."""
+        self._running[instance] = None
+        self._describe()
 
-    def advance(self) -> None:
-        """Count one instance as done."""
+    def end(self, instance: str) -> None:
+        """Count an instance as done."""
         self._bar.advance(self._task)
+        if self._running.pop(instance, self) is None:
+            self._describe()
+
+    def note(self, text: str) -> None:
+        """Show what else there is to know, where no instance is shown."""
+        self._bar.update(self._task, description=text)
+
+    def _describe(self) -> None:
+        names = list(self._running)
+        more = f" and {len(names) - 2} more" if len(names) > 2 else ""
+        self._bar.update(self._task, description=", ".join(names[:2]) + more)
 
     def __enter__(self) -> Self:
         self._bar.start()
@@ -123,13 +138,13 @@ def print_scores(scores: Scores) -> None:
             names = ", ".join(row.unique)
             text = f"only {row.tool} solved, in {row.category}: {names}"
             console.print(text, markup=False, soft_wrap=True)
-    print_contradictions(scores.contradictions)
+    print_contradictions(scores)
 
 
 _COUNTS = ("sat", "unsat", "incorrect", "unknown", "timeout", "error")
 _COLUMNS = ("tool", "category", "score", "percent", *_COUNTS, "PAR-2, s")
 #: Shown where some row has one.
-_RARE = ("missing", "unique")
+_RARE = ("refuted", "bad_witness", "missing", "unique")
 
 
 def _cell(row: Row, column: str) -> str:
@@ -140,14 +155,73 @@ def _cell(row: Row, column: str) -> str:
     return str(len(row.unique) if column == "unique" else getattr(row, column))
 
 
-def print_contradictions(contradictions: Sequence[Contradiction], stderr: bool = False) -> None:
-    """Print every contradiction, a refuted reference loudest."""
+def print_contradictions(scores: Scores, stderr: bool = False) -> None:
+    """Print how many contradictions there are, by kind, and each, a refuted reference loudest."""
+    if not scores.contradictions:
+        return
     console = _console(stderr)
-    for contradiction in contradictions:
+    for contradiction in sorted(scores.contradictions, key=lambda c: list(Conflict).index(c.kind)):
         loud = contradiction.kind is Conflict.REFERENCE_REFUTED
         label = "REFERENCE CONTRADICTION" if loud else "contradiction"
         style = "bold white on red" if loud else "yellow"
         console.print(f"{label}: {contradiction}", style=style, markup=False, soft_wrap=True)
+    counts = ", ".join(f"{count} {kind}" for kind, count in scores.by_kind().items() if count)
+    console.print(f"contradictions: {counts}", markup=False, soft_wrap=True)
+
+
+def print_explanations(
+    instance: str,
+    reference: str,
+    explanations: Iterable[Explanation],
+    contradictions: Iterable[Contradiction],
+) -> None:
+    """Print why every result of an instance got its points."""
+    console = _console()
+    console.print(instance, style="bold", markup=False, soft_wrap=True)
+    console.print(reference, markup=False, soft_wrap=True)
+    for explanation in explanations:
+        points, claim = explanation.judgement.points, explanation.judgement.claim
+        style = "green" if points > 0 else "bold red" if points < 0 else "yellow"
+        console.print(f"\n{claim.tool}: {points} points", style=style, markup=False)
+        for sentence in explanation.sentences:
+            console.print(f"  {_one_line(sentence)}", markup=False, soft_wrap=True)
+    for contradiction in contradictions:
+        console.print(f"\ncontradiction: {contradiction}", markup=False, soft_wrap=True)
+
+
+def explanation_data(explanation: Explanation, reference: str) -> dict[str, Any]:
+    """Return an explanation for JSON."""
+    claim, record, check = explanation.judgement.claim, explanation.record, explanation.check
+    return {
+        "tool": claim.tool,
+        "category": claim.category,
+        "instance": claim.instance,
+        "points": explanation.judgement.points,
+        "verdict": str(record.verdict),
+        "counted": str(claim.counted),
+        "result": record.result,
+        "run_time": record.run_time,
+        "limit_s": record.limits.wall_s,
+        "reference": reference,
+        "reasons": explanation.sentences,
+        "witness_check": check.model_dump(mode="json") if check else None,
+    }
+
+
+def _one_line(text: str) -> str:
+    """Return text that may be a tool's on one line, without what a terminal would obey."""
+    return "".join(c if c.isprintable() else " " for c in text)
+
+
+def print_machine(info: RunInfo) -> None:
+    """Print which tool ran on what machine."""
+    machine = info.machine
+    parts = [
+        f"run of {info.tool.name} {info.tool.version or '(no version)'}, begun {info.created_at}",
+        f"{machine.get('processor')}, {machine.get('usable_cores')} cores",
+        f"{machine.get('memory_mib')} MiB, {machine.get('system')}",
+    ]
+    _console().print(_one_line("; ".join(parts)), markup=False, soft_wrap=True)
 
 
 def print_check(check: WitnessCheck) -> None:
@@ -160,13 +234,19 @@ def print_check(check: WitnessCheck) -> None:
     console.print(check.outcome.sentence, markup=False, soft_wrap=True)
 
 
-def row_data(row: Row, contradictions: Sequence[Contradiction]) -> dict[str, Any]:
-    """Return a row for JSON, with the contradictions of its category (overall: all)."""
+def row_data(row: Row, scores: Scores) -> dict[str, Any]:
+    """Return a row for JSON.
+
+    contradictions: of its category (overall: all); disagreements: how many of each kind its tool
+    has a part in.
+    """
+    category = None if row.category == OVERALL else row.category
     return {
         **vars(row),
+        "disagreements": {str(k): n for k, n in scores.by_kind(row.tool, category).items()},
         "contradictions": [
             {"kind": str(c.kind), "instance": c.instance, "sat": c.sat, "unsat": c.unsat}
-            for c in contradictions
+            for c in scores.contradictions
             if row.category in (OVERALL, c.category)
         ],
     }

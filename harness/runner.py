@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -42,6 +43,10 @@ LONGEST_LOG = 1 << 20
 _TIMEOUT_STATUS = 124
 
 
+class Stopped(Exception):
+    """The runner was told to stop; what it was running has no result."""
+
+
 @dataclass(frozen=True)
 class Finished:
     """A result before it is stored: the record, what follows ``sat``, and the log."""
@@ -54,14 +59,23 @@ class Finished:
 class Runner:
     """Runs a tool on instances, one at a time; a context manager.
 
-    keep: file descriptors that stay open until no process of a tool is left.
+    keep: file descriptors that stay open until no process of a tool is left; cores: those that
+    the tool is pinned to.
     """
 
-    def __init__(self, tool: Tool, root: Path | None, keep: Sequence[int] = ()) -> None:
-        self.tool, self.root, self._keep = tool, root, keep
+    def __init__(
+        self,
+        tool: Tool,
+        root: Path | None,
+        keep: Sequence[int] = (),
+        *,
+        cores: Sequence[int] | None = None,
+    ) -> None:
+        self.tool, self.root, self._keep, self._cores = tool, root, keep, cores
         self._numbers = count(1)
         self._hashes: dict[Path, str] = {}
-        self._supervisor = Supervisor(keep)
+        self._stopped, self._lock = False, threading.Lock()
+        self._supervisor = Supervisor(keep, cores)
 
     def install(self) -> tuple[str | None, bytes]:
         """Run install_tool.sh; return what is wrong, if anything, and what it printed."""
@@ -140,11 +154,14 @@ class Runner:
 
     def _run(self, command: list[str], scratch: Path, limit_s: float) -> Outcome:
         try:
-            return self._supervisor.run(
+            outcome = self._supervisor.run(
                 command, scratch / "work", _environment(scratch), scratch / "log", limit_s
             )
         except CannotStart as error:
             raise BadInput(f"tool {self.tool.name}: cannot be started ({error})") from None
+        if self._stopped:  # perhaps the tool ended for that
+            raise Stopped
+        return outcome
 
     def _scratch(self) -> Path:
         """Make a scratch folder; short, since sockets below TMPDIR allow about 100 characters."""
@@ -160,7 +177,16 @@ class Runner:
 
     def _restart(self) -> None:
         self._supervisor.close()
-        self._supervisor = Supervisor(self._keep)
+        with self._lock:
+            if self._stopped:
+                raise Stopped
+            self._supervisor = Supervisor(self._keep, self._cores)
+
+    def stop(self) -> None:
+        """End what runs, from another thread: ``run`` raises Stopped, now or when it is called."""
+        with self._lock:
+            self._stopped = True
+            self._supervisor.stop()
 
     def close(self) -> None:
         """End whatever runs, and remove all scratch folders."""

@@ -3,7 +3,8 @@
 10 points for a correct sat or unsat, -150 for an incorrect one, 0 for anything else; per
 category the percent of the best tool's points; the percents summed. What is correct:
 
-- sat: its witness passed the replay, strictly or with tolerance (there is no other proof of it);
+- sat: its witness passed the check, strictly or with tolerance (there is no other proof of it);
+  one that the harness cannot check counts as unknown;
 - unsat: nobody has shown the instance to be sat, neither a tool with a strict witness nor the
   reference with one.
 
@@ -16,6 +17,9 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import ClassVar
+
+from pydantic import ConfigDict
 
 from harness.catalogue import Reference
 from harness.records import Verdict, WitnessOutcome
@@ -28,7 +32,7 @@ OVERALL = "overall"
 class Claim:
     """What one tool says of one instance; times in seconds.
 
-    witness: what the replay of a sat's witness found.
+    witness: what the check of a sat's witness found.
     """
 
     tool: str
@@ -41,8 +45,14 @@ class Claim:
 
     @property
     def counted(self) -> Verdict:
-        """The verdict that counts: an answer after the limit is a timeout."""
-        return Verdict.TIMEOUT if self.run_time > self.timeout else self.verdict
+        """The verdict that counts.
+
+        An answer after the limit is a timeout, a sat that cannot be judged is unknown.
+        """
+        if self.run_time > self.timeout:
+            return Verdict.TIMEOUT
+        unsupported = self.witness is WitnessOutcome.UNSUPPORTED
+        return Verdict.UNKNOWN if self.verdict is Verdict.SAT and unsupported else self.verdict
 
     @property
     def proves_sat(self) -> bool:
@@ -110,12 +120,15 @@ class Contradiction:
 
 @dataclass(frozen=True)
 class Row:
-    """One tool's result in one category, or overall.
+    """One tool's result in one category, or overall; a submission holds such rows.
 
-    sat, unsat: correct ones; missing: instances that it was not run on though another tool
-    was; par2_s: mean over all instances of the time of a correct answer, or twice the limit;
+    sat, unsat: correct ones; incorrect: unsat that a witness refutes (refuted), and sat whose
+    witness does not hold (bad_witness); missing: instances that it was not run on though another
+    tool was; par2_s: mean over all instances of the time of a correct answer, or twice the limit;
     unique: instances that it alone solved.
     """
+
+    __pydantic_config__: ClassVar = ConfigDict(extra="forbid")
 
     tool: str
     category: str
@@ -124,6 +137,8 @@ class Row:
     sat: int
     unsat: int
     incorrect: int
+    refuted: int
+    bad_witness: int
     unknown: int
     timeout: int
     error: int
@@ -145,6 +160,14 @@ class Scores:
     def reference_refuted(self) -> bool:
         """Whether some reference result is wrong."""
         return any(c.kind is Conflict.REFERENCE_REFUTED for c in self.contradictions)
+
+    def by_kind(self, tool: str | None = None, category: str | None = None) -> dict[Conflict, int]:
+        """Count the contradictions of every kind: all, or those of a tool or a category."""
+        counts = dict.fromkeys(Conflict, 0)
+        for found in self.contradictions:
+            if tool in (None, *found.sat, *found.unsat) and category in (None, found.category):
+                counts[found.kind] += 1
+        return counts
 
 
 def score(claims: Sequence[Claim], references: Mapping[str, Reference]) -> Scores:
@@ -174,7 +197,8 @@ def judge(claim: Claim, group: Sequence[Claim], reference: Reference | None) -> 
         if reference is not None and reference.proves_sat:
             return Judgement(claim, INCORRECT, "refuted by the reference's witness")
         return Judgement(claim, CORRECT, "not refuted")
-    return Judgement(claim, NOTHING, str(verdict))
+    unsupported = claim.witness is WitnessOutcome.UNSUPPORTED and verdict is Verdict.UNKNOWN
+    return Judgement(claim, NOTHING, f"witness: {claim.witness}" if unsupported else str(verdict))
 
 
 #: How the reference result is named beside tools (a tool's name has no space).
@@ -229,7 +253,10 @@ class _Sum:
             self.time += 2 * limit
             return
         self.score += judgement.points
-        verdict = "incorrect" if judgement.incorrect else str(judgement.claim.counted)
+        verdict = str(judgement.claim.counted)
+        if judgement.incorrect:
+            self.counts["refuted" if verdict == Verdict.UNSAT else "bad_witness"] += 1
+            verdict = "incorrect"
         self.counts[verdict] += 1
         self.time += judgement.claim.run_time if judgement.solved else 2 * limit
 
@@ -279,6 +306,8 @@ def _ranked(category: str, sums: Mapping[str, _Sum], instances: int) -> list[Row
             sat=total.counts["sat"],
             unsat=total.counts["unsat"],
             incorrect=total.counts["incorrect"],
+            refuted=total.counts["refuted"],
+            bad_witness=total.counts["bad_witness"],
             unknown=total.counts["unknown"],
             timeout=total.counts["timeout"],
             error=total.counts["error"],

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -42,11 +43,12 @@ class Supervisor:
     """Runs one command at a time under a limit, each below a scratch folder of its own.
 
     keep: file descriptors that stay open as long as the supervisor lives (a lock, so that
-    nobody else starts while it is still ending processes). ``kept_by`` says by what
-    means limits are kept: "subreaper" or "process group".
+    nobody else starts while it is still ending processes); cores: those that it and all it
+    starts are pinned to. ``kept_by`` says by what means limits are kept: "subreaper" or
+    "process group".
     """
 
-    def __init__(self, keep: Sequence[int] = ()) -> None:
+    def __init__(self, keep: Sequence[int] = (), cores: Sequence[int] | None = None) -> None:
         self.scratch = Path(tempfile.mkdtemp(prefix="harness-"))
         self._process = subprocess.Popen(
             [sys.executable, "-P", process_tree.__file__, str(self.scratch)],
@@ -55,6 +57,8 @@ class Supervisor:
             pass_fds=tuple(keep),
             start_new_session=True,  # so that Ctrl-C reaches the harness alone
         )
+        if cores is not None and hasattr(os, "sched_setaffinity"):
+            os.sched_setaffinity(self._process.pid, cores)
         self.kept_by: str = self._receive()["kept_by"]
 
     def run(
@@ -75,7 +79,7 @@ class Supervisor:
         try:
             self._process.stdin.write(json.dumps(request).encode() + b"\n")
             self._process.stdin.flush()
-        except BrokenPipeError:
+        except (BrokenPipeError, ValueError):  # ValueError: stop() closed it
             raise SupervisorLost from None
         answer = self._receive()
         if "error" in answer:
@@ -90,12 +94,16 @@ class Supervisor:
         answer: dict[str, Any] = json.loads(line)
         return answer
 
-    def close(self) -> None:
-        """End what runs, remove the scratch folder, end the supervisor."""
+    def stop(self) -> None:
+        """End what runs, from another thread; then only close() may be called."""
         assert self._process.stdin is not None
-        assert self._process.stdout is not None
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.close()
+
+    def close(self) -> None:
+        """End what runs, remove the scratch folder, end the supervisor."""
+        assert self._process.stdout is not None
+        self.stop()
         try:
             self._process.wait(_CLOSE_S)
         except subprocess.TimeoutExpired:
@@ -104,7 +112,8 @@ class Supervisor:
         self._process.stdout.close()
         if self._process.returncode != 0:
             _end_marked(str(self.scratch))
-            shutil.rmtree(self.scratch, ignore_errors=True)
+        # Again: after stop() something may have been put there.
+        shutil.rmtree(self.scratch, ignore_errors=True)
 
     def __enter__(self) -> Self:
         return self

@@ -269,10 +269,11 @@ def runtime_session(path: Path) -> InferenceSession:
     """
     content = _read(path)
     parse_controller(content, str(path))
-    return _session(content, str(path))
+    return open_session(content, str(path))
 
 
-def _session(content: bytes, where: str) -> InferenceSession:
+def open_session(content: bytes, where: str) -> InferenceSession:
+    """Open any ONNX file's content in onnxruntime on one CPU core; BadInput if it is refused."""
     import onnxruntime  # noqa: PLC0415 (slow to import, and not always needed)
 
     options = onnxruntime.SessionOptions()
@@ -300,11 +301,11 @@ class RuntimeSteer:
     def __init__(self, controller: Path | str | Controller) -> None:
         if isinstance(controller, Controller):
             self.rays = controller.rays
-            self._session = _session(to_model(controller).SerializeToString(), "controller")
+            self._session = open_session(to_model(controller).SerializeToString(), "controller")
         else:
             content = _read(Path(controller))
             self.rays = parse_controller(content, str(controller)).rays
-            self._session = _session(content, str(controller))
+            self._session = open_session(content, str(controller))
         self._input = self._session.get_inputs()[0].name
         self._kept = threading.local()
 

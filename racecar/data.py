@@ -20,7 +20,7 @@ class Data(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
 
 
-AnyData = TypeVar("AnyData", bound=Data)
+AnyData = TypeVar("AnyData", bound=BaseModel)
 
 
 def parse_data(kind: type[AnyData], text: str | bytes) -> AnyData:

@@ -1,43 +1,31 @@
-"""Real verifiers for tests, each in its own virtual environment, made once and kept.
+"""Real verifiers for tests: those that ship with the harness, installed as it installs them.
 
-They lie in ~/.cache/closedlap/tools/NAME-VERSION. A test skips where a tool cannot be installed;
-slow ones (gigabytes to download, minutes to run) are used only with CLOSEDLAP_SLOW_TOOLS=1.
+A test skips where a tool cannot be installed; slow ones (hundreds of megabytes, minutes to
+run) are used only with CLOSEDLAP_SLOW_TOOLS=1.
 """
 
-import fcntl
 import os
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
-CACHE = Path.home() / ".cache" / "closedlap" / "tools"
-CONSTRAINTS = Path(__file__).parents[1] / "constraints.txt"
-_DONE = "installed"
+from harness.environments import ensure_environment
+from harness.tool import find_tool
+from racecar.errors import BadInput
+
+#: Those that take minutes.
+SLOW = ("vibecheck", "neuralsat")
 
 
-def tool(package, version, program, slow=False):
-    """Return the path of a program of a package; skip where it cannot be had."""
-    folder = CACHE / f"{package}-{version}"
-    if slow and os.environ.get("CLOSEDLAP_SLOW_TOOLS") != "1":
-        pytest.skip(f"{package} is slow; set CLOSEDLAP_SLOW_TOOLS=1 to test with it")
-    CACHE.mkdir(parents=True, exist_ok=True)
-    with (CACHE / f"{package}-{version}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # tests run side by side
-        if not (folder / _DONE).exists():
-            _install(folder, f"{package}=={version}")
-            (folder / _DONE).touch()
-    return folder / "bin" / program
-
-
-def _install(folder, requirement):
-    pip = [folder / "bin" / "python", "-m", "pip", "install", "-q", "-c", CONSTRAINTS, requirement]
-    for command in ([sys.executable, "-m", "venv", "--clear", folder], pip):
-        result = subprocess.run(command, capture_output=True, text=True, timeout=1800, check=False)
-        if result.returncode:
-            reason = (result.stderr.strip() or "no message").splitlines()[-1]
-            pytest.skip(f"{requirement} cannot be installed here: {reason}")
+def installed(name):
+    """Return the folder with the programs of a shipped tool; skip where it cannot be had."""
+    if name in SLOW and os.environ.get("CLOSEDLAP_SLOW_TOOLS") != "1":
+        pytest.skip(f"{name} is slow; set CLOSEDLAP_SLOW_TOOLS=1 to test with it")
+    packages = find_tool(name).description.install.packages
+    try:
+        return ensure_environment(name, packages, 1800) / "bin"
+    except BadInput as error:
+        pytest.skip(f"{name} cannot be installed here: {error}")
 
 
 def run(*command, cwd, timeout):
@@ -58,7 +46,7 @@ def run(*command, cwd, timeout):
 
 def vibecheck(network, spec, folder, timeout=60):
     """Return vibecheck's verdict."""
-    program, results = tool("vibecheck-nn", "1.1.0", "vibecheck", slow=True), folder / "results.txt"
+    program, results = installed("vibecheck") / "vibecheck", folder / "results.txt"
     options = ("--timeout", timeout, "--device", "cpu", "--results-file", results)
     text = run(program, "--net", network, "--spec", spec, *options, cwd=folder, timeout=3 * timeout)
     assert results.exists(), text
@@ -67,7 +55,7 @@ def vibecheck(network, spec, folder, timeout=60):
 
 def marabou(network, spec, folder, timeout=20):
     """Return Marabou's verdict: sat, unsat, TIMEOUT or UNKNOWN."""
-    program, summary = tool("maraboupy", "2.0.0", "Marabou"), folder / "summary.txt"
+    program, summary = installed("marabou") / "Marabou", folder / "summary.txt"
     options = ("--timeout", timeout, "--verbosity", 0, "--summary-file", summary)
     text = run(program, network, spec, *options, cwd=folder, timeout=3 * timeout)
     assert summary.exists(), text

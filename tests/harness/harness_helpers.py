@@ -15,6 +15,7 @@ import psutil
 from click.testing import CliRunner
 
 from harness.cli import main
+from harness.store import RunFolder
 from racecar.bicycle import Bicycle
 from racecar.closed_loop import Plant
 from racecar.controller import Controller, Layer, save_controller
@@ -148,3 +149,9 @@ def ulps_above(x, count=1):
     for _ in range(count):
         x = math.nextafter(x, math.inf)
     return x
+
+
+def log_of(run, instance):
+    """What a tool printed on an instance of a run, as text."""
+    with RunFolder.open(run) as folder:
+        return folder.log(folder.record(instance)).decode()

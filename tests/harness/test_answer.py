@@ -18,6 +18,7 @@ from harness.records import Verdict, verdict_of
         (b"unknown\n", "unknown"),
         (b"timeout\n", "timeout"),
         (b"timeout(X_00 ...\n", "timeout"),
+        (b"timed-out\n", "timeout"),
         (b"error\n", "error"),
         (b"holds\n", "unsat"),
         (b"", "no_result_in_file"),

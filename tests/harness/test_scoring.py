@@ -55,7 +55,9 @@ def vnncomp(claims, references):
         if reference and reference.verdict == "sat":
             valid_ce_any_tool |= reference.margin_upper is not None and reference.margin_upper <= 0
         valid_ce_this_tool = witness in ("correct", "correct_with_tolerance")
-        if result == "nothing":
+        # Theirs: a witness that the judges cannot judge is nobody's fault.
+        unsupported = result == "violated" and witness == "unsupported"
+        if result == "nothing" or unsupported:
             awarded[tool, instance] = 0
         elif (result == "violated" and not valid_ce_this_tool) or (
             result == "holds" and valid_ce_any_tool
@@ -122,6 +124,38 @@ def test_agrees_with_vnncomp(contest):
         assert rows[tool, "overall"].percent == pytest.approx(total)
 
 
+def par2(claims, tool, category):
+    """Return the mean of run times, twice the limit (the largest given) for what is not solved."""
+    awarded, _, _ = vnncomp(claims, {})
+    times = []
+    for instance in {c.instance for c in claims if category in ("overall", c.category)}:
+        limit = max(c.timeout for c in claims if c.instance == instance)
+        mine = [c for c in claims if (c.tool, c.instance) == (tool, instance)]
+        solved = mine and awarded[tool, instance] > 0
+        times.append(mine[0].run_time if solved else 2 * limit)
+    return sum(times) / len(times)
+
+
+def solved_alone(claims, tool, category):
+    awarded, _, _ = vnncomp(claims, {})
+    in_category = {c.instance for c in claims if c.category == category}
+    solved = {i for i in in_category if awarded.get((tool, i), 0) > 0}
+    others = {i for (other, i), points in awarded.items() if other != tool and points > 0}
+    takes_part = len({c.tool for c in claims if c.category == category}) > 1
+    return sorted(solved - others) if takes_part else []
+
+
+@settings(max_examples=60, deadline=None)
+@given(contests())
+def test_par2_and_unique_solves(contest):
+    claims, _ = contest
+    for row in score(claims, {}).rows:
+        assert row.par2_s == pytest.approx(par2(claims, row.tool, row.category))
+        categories = {c.category for c in claims} if row.category == "overall" else {row.category}
+        alone = [solved_alone(claims, row.tool, category) for category in categories]
+        assert sorted(row.unique) == sorted(instance for part in alone for instance in part)
+
+
 @settings(max_examples=60, deadline=None)
 @given(contests())
 def test_counts_add_up(contest):
@@ -138,6 +172,23 @@ def test_counts_add_up(contest):
     for row in overall:
         parts = [r for r in scores.rows if r.tool == row.tool and r.category != "overall"]
         assert row.score == sum(r.score for r in parts)
+
+
+@settings(max_examples=60, deadline=None)
+@given(contests())
+def test_disagreements_by_kind_add_up(contest):
+    claims, references = contest
+    scores = score(claims, references)
+    assert sum(scores.by_kind().values()) == len(scores.contradictions)
+    categories = {c.category for c in claims}
+    for kind, count in scores.by_kind().items():
+        assert count == sum(scores.by_kind(category=c)[kind] for c in categories)
+    for row in scores.rows:
+        assert row.incorrect == row.refuted + row.bad_witness
+        category = None if row.category == "overall" else row.category
+        assert row.refuted <= scores.by_kind(row.tool, category)[Conflict.REFUTED] + sum(
+            r.verdict is SAT for r in references.values()
+        )
 
 
 @settings(max_examples=60, deadline=None)
@@ -180,6 +231,7 @@ def test_nothing_that_is_refuted_earns_points(contest):
         (SAT, WitnessOutcome.OUT_OF_BOX, -150),
         (SAT, WitnessOutcome.MALFORMED, -150),
         (SAT, WitnessOutcome.MISSING, -150),
+        (SAT, WitnessOutcome.UNSUPPORTED, 0),
         (SAT, None, -150),
         (UNSAT, None, 10),
         (UNKNOWN, None, 0),

@@ -1,0 +1,1 @@
+"""VNN-LIB queries: read, answered by a witness, evaluated exactly."""

@@ -1,0 +1,1 @@
+"""Submissions: runs packed with all that is needed to judge them again."""
