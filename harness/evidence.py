@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from harness.catalogue import Reference, load_references, sha256
+from harness.catalogue import Reference, is_query, load_references, sha256
 from harness.checks import witness_check
 from harness.records import Record, WitnessCheck
 from harness.scoring import Claim
@@ -53,7 +54,7 @@ def gather(
                     f"{record.instance}; leave one run out, or run it under another --name"
                 )
             other = versions.setdefault(record.instance, record)
-            if _identity(other) != _identity(record):
+            if _identity(other) != _identity(record) and not _same_query(other, record, root):
                 raise BadInput(
                     f"{folder.path}: {record.instance} is another version of the instance than "
                     "in the runs before; runs can be compared on the same files only"
@@ -81,6 +82,22 @@ def _identity(record: Record) -> tuple[str, ...]:
     return record.category, record.spec_sha256, record.onnx_sha256
 
 
+def _same_query(a: Record, b: Record, root: Path | None) -> bool:
+    """Whether both ran one query of the benchmarks, each in another version of VNN-LIB."""
+    specs = Path(a.spec), Path(b.spec)
+    if root is None or not all(map(is_query, specs)):
+        return False
+    folders = {os.path.normpath(root / spec.parent.parent) for spec in specs}
+    same = len(folders) == 1 and (a.category, a.onnx_sha256) == (b.category, b.onnx_sha256)
+    return same and all(_is_current(record, root) for record in (a, b))
+
+
+def _is_current(record: Record, root: Path) -> bool:
+    """Whether the benchmarks hold the specification that a record names."""
+    spec = root / record.spec
+    return spec.is_file() and sha256(spec) == record.spec_sha256
+
+
 def claim_of(record: Record, check: WitnessCheck | None) -> Claim:
     """Return what a record, and the check of its witness, claim."""
     return Claim(
@@ -106,8 +123,7 @@ def _references(
         reference = everything.get(instance)
         if reference is None:
             continue
-        spec = root / record.spec
-        if spec.is_file() and sha256(spec) == record.spec_sha256:
+        if _is_current(record, root):
             references[instance] = reference
         else:
             changed.append(instance)

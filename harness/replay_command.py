@@ -28,9 +28,9 @@ def replay_command(
 ) -> int:
     """Check a witness independently of every tool.
 
-    INSTANCE is an instance's file, JSON or VNN-LIB. WITNESS is a file with the witness that the
-    instance asks for, or a result file: sat, then the witness. Ends with status 0 if a tool is
-    credited for it, 1 if not.
+    INSTANCE is an instance's file, JSON or VNN-LIB, or its ID. WITNESS is a file with the witness
+    that the instance asks for, or a result file: sat, then the witness. Ends with status 0 if a
+    tool is credited for it, 1 if not.
     """
     from harness import report
     from harness.answer import read_witness
@@ -53,7 +53,7 @@ def replay_command(
 def _entry(instance: Path, onnx: Path | None, benchmarks: Path | None) -> Entry:
     from harness.catalogue import Entry, find_root, instance_id, is_query, load_file, select
 
-    if not is_query(instance):
+    if instance.is_file() and not is_query(instance):
         return load_file(instance)
     if onnx is not None:
         return Entry(instance_id(instance), "", onnx, instance, 1.0)

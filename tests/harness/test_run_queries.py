@@ -92,6 +92,22 @@ def test_other_version_by_its_file(root, make_tool, tmp_path):
     )
 
 
+def test_versions_of_a_query_are_scored_side_by_side(root, make_tool, tmp_path):
+    good = witness_1([0.75], [0.0])
+    run(root, make_tool(answers(good, good), name="one"), tmp_path / "one")
+    spec = tmp_path / "vnnlib" / "unrolled" / "2.0" / "a.k1.vnnlib"
+    run(
+        root, make_tool('echo unsat > "$RESULTS"', name="two"), tmp_path / "two", "--instance", spec
+    )
+    score = ("score", tmp_path / "one", tmp_path / "two", "--benchmarks", root, "--json")
+    done = harness(*score)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [(r["tool"], r["score"]) for r in rows[:2]] == [("one", 20), ("two", -150)]
+    spec.write_text(spec.read_text() + "; touched\n")
+    done = harness(*score)
+    assert (done.returncode, "another version of the instance" in done.stderr) == (2, True)
+
+
 def test_stored_check_is_made_again_with_other_versions(root, make_tool, tmp_path, monkeypatch):
     good = witness_1([0.75], [0.0])
     run(root, make_tool(answers(good, good)), tmp_path / "run")
@@ -130,6 +146,14 @@ def test_query_without_a_network_is_one_line(root, tmp_path):
     done = harness("replay", loose, tmp_path / "w", "--onnx", network)
     assert done.returncode == 0
     assert done.stdout.startswith("correct: the outputs meet the condition by 0.25\n")
+
+
+def test_instance_to_replay_by_its_id(root, tmp_path):
+    (tmp_path / "w").write_bytes(witness_1([0.75]))
+    done = harness("replay", "b.k1", tmp_path / "w", "--benchmarks", root)
+    assert (done.returncode, done.stdout.split(":")[0]) == (0, "correct")
+    done = harness("replay", "c.k1", tmp_path / "w", "--benchmarks", root)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
 
 
 def test_query_that_cannot_be_judged_costs_nothing(root, make_tool, tmp_path):
