@@ -12,6 +12,7 @@ from harness.catalogue import Entry, sha256
 from harness.checks import check_entry
 from harness.export import results_csv
 from harness.files import write_durable
+from harness.limits import DEFAULT, Allowance
 from harness.machine import describe_machine, package_version
 from harness.records import Record, RunInfo, Verdict, WitnessCheck
 from harness.runner import Finished, Runner
@@ -39,6 +40,7 @@ class Plan:
     resume: bool = False
     timeout: float | None = None
     install: bool = True
+    limits: Allowance = DEFAULT
 
 
 def execute(plan: Plan, on_start: OnStart, on_result: OnResult) -> RunFolder:
@@ -73,7 +75,7 @@ def _run_all(
     if not todo:
         return
     # The lock goes to the runner's helper too: it ends when no process of a tool is left.
-    with Runner(plan.tool, plan.root, keep=(lock,)) as runner:
+    with Runner(plan.tool, plan.root, keep=(lock,), limits=plan.limits) as runner:
         installed = folder.path / "logs" / "install_tool.log"
         if plan.install and plan.tool.has_install and not installed.exists():
             failure, log = runner.install()

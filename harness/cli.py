@@ -14,12 +14,16 @@ import sys
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from harness.limit_options import limit_options
 from racecar.command_line import CHECK_FAILED, DONE, Commands, print_json
 from racecar.errors import BadInput
+
+if TYPE_CHECKING:
+    from harness.limits import Allowance
 
 _as_path = click.Path(path_type=Path)
 
@@ -57,6 +61,7 @@ def main() -> None:
     help="Seconds for every instance, instead of its own timeout.",
 )
 @click.option("--name", help="Name of the tool in the results; default: its folder's.")
+@limit_options
 @click.option("--no-install", is_flag=True, help="Don't run the tool's install_tool.sh.")
 @_benchmarks_option
 @_json_option
@@ -68,6 +73,7 @@ def run_command(
     resume: bool,
     timeout: float | None,
     name: str | None,
+    limits: Allowance,
     no_install: bool,
     benchmarks: Path | None,
     as_json: bool,
@@ -92,7 +98,7 @@ def run_command(
     entries = select(root, categories, instances)
     if out is None:
         out = Path("runs") / f"{found.name}-{datetime.now():%Y%m%d-%H%M%S}"
-    plan = Plan(found, entries, root, out, resume, timeout, not no_install)
+    plan = Plan(found, entries, root, out, resume, timeout, not no_install, limits)
     # Schedulers end a job with SIGTERM; it ends the run as Ctrl-C does.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     stored = sum(RunFolder(out).record_path(entry.id).exists() for entry in entries)

@@ -1,6 +1,6 @@
-"""The harness's side of process_tree: a process that runs commands and outlives nobody.
+"""The harness's side of the keeper: a process that runs commands and outlives nobody.
 
-If the harness is killed, at any instant and by any signal, the supervisor sees its standard
+If the harness is killed, at any instant and by any signal, the keeper sees its standard
 input end, ends the running tool's whole tree and removes the scratch folder.
 """
 
@@ -8,22 +8,22 @@ from __future__ import annotations
 
 import contextlib
 import json
-import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import psutil
 
-from harness import process_tree
-from harness.process_tree import Outcome
+from harness import process_tree, scratch
+from harness.bounds import Bounds, Means, Outcome
 
-#: The supervisor may take this long (seconds) to end a tree and itself.
+#: The keeper may take this long (seconds) to end a tree and itself.
 _CLOSE_S = process_tree.GIVE_UP_S + 5
 
 #: This variable in the environment marks all processes of a tool, in case of need.
@@ -39,37 +39,38 @@ class CannotStart(Exception):
 
 
 class Supervisor:
-    """Runs one command at a time under a limit, each below a scratch folder of its own.
+    """Runs one command at a time within bounds, each below a scratch folder of its own.
 
-    keep: file descriptors that stay open as long as the supervisor lives (a lock, so that
-    nobody else starts while it is still ending processes). ``kept_by`` says by what
-    means limits are kept: "subreaper" or "process group".
+    keep: file descriptors that stay open as long as the keeper lives (a lock, so that
+    nobody else starts while it is still ending processes). cgroups: whether to use control
+    groups where they work.
     """
 
-    def __init__(self, keep: Sequence[int] = ()) -> None:
+    def __init__(self, keep: Sequence[int] = (), cgroups: bool = True) -> None:
         self.scratch = Path(tempfile.mkdtemp(prefix="harness-"))
+        program = [sys.executable, "-P", str(Path(__file__).with_name("keeper.py"))]
         self._process = subprocess.Popen(
-            [sys.executable, "-P", process_tree.__file__, str(self.scratch)],
+            [*program, str(self.scratch), *([] if cgroups else ["--no-cgroups"])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=tuple(keep),
             start_new_session=True,  # so that Ctrl-C reaches the harness alone
         )
-        self.kept_by: str = self._receive()["kept_by"]
+        self._receive()
 
     def run(
-        self, command: Sequence[str], cwd: Path, env: Mapping[str, str], log: Path, limit_s: float
+        self, command: Sequence[str], cwd: Path, env: Mapping[str, str], log: Path, bounds: Bounds
     ) -> Outcome:
         """Run a command and return how it ended, after all that it started has ended.
 
-        Raises CannotStart, or SupervisorLost.
+        log: the file that its output is appended to. Raises CannotStart, or SupervisorLost.
         """
         request = {
             "command": list(command),
             "cwd": str(cwd),
             "env": {**env, _MARK: str(self.scratch)},
             "log": str(log),
-            "limit_s": limit_s,
+            "bounds": asdict(bounds),
         }
         assert self._process.stdin is not None
         try:
@@ -80,7 +81,7 @@ class Supervisor:
         answer = self._receive()
         if "error" in answer:
             raise CannotStart(answer["error"])
-        return Outcome(**answer)
+        return Outcome(**{**answer, "means": Means(**answer["means"])})
 
     def _receive(self) -> dict[str, Any]:
         assert self._process.stdout is not None
@@ -104,7 +105,7 @@ class Supervisor:
         self._process.stdout.close()
         if self._process.returncode != 0:
             _end_marked(str(self.scratch))
-            shutil.rmtree(self.scratch, ignore_errors=True)
+            scratch.remove(str(self.scratch))
 
     def __enter__(self) -> Self:
         return self
