@@ -52,7 +52,6 @@ _FREEZE_AFTER_S = 0.1
 _PR_SET_CHILD_SUBREAPER = 36
 #: The kernel, out of memory, kills processes with this score first.
 _FIRST_TO_GO = b"1000"
-_MIB = 1 << 20
 
 
 def become_subreaper() -> bool:
@@ -279,8 +278,6 @@ def _setup(
         _limit(resource.RLIMIT_CORE, 0)
         if bounds.cpu_s is not None:
             _limit(resource.RLIMIT_CPU, int(bounds.cpu_s) + 2)
-        if bounds.scratch is not None:
-            _limit(resource.RLIMIT_FSIZE, max(bounds.scratch, bounds.output or 0) + _MIB)
         if rules is not None:
             rules.enforce()
 

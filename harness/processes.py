@@ -7,6 +7,7 @@ is large and not as much as the machine is busy. Elsewhere psutil looks.
 from __future__ import annotations
 
 import os
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,6 +68,31 @@ def shared_out(processes: list[Process]) -> int:
         except OSError:
             continue
     return total
+
+
+def unlinked_files(folder: str) -> int:
+    """Return the bytes on disk of files without a name that processes below us hold open.
+
+    Counted are those on the file system of a folder. 0 where the system does not tell.
+    """
+    sizes: dict[int, int] = {}
+    try:
+        device = os.stat(folder).st_dev  # noqa: PTH116
+    except OSError:
+        return 0
+    for process in descendants():
+        try:
+            opened = os.listdir(f"/proc/{process.pid}/fd")  # noqa: PTH208
+        except OSError:
+            continue
+        for number in opened:
+            try:
+                info = os.stat(f"/proc/{process.pid}/fd/{number}")  # noqa: PTH116
+            except OSError:
+                continue
+            if info.st_nlink == 0 and info.st_dev == device and stat.S_ISREG(info.st_mode):
+                sizes[info.st_ino] = info.st_blocks * 512
+    return sum(sizes.values())
 
 
 def _children(pid: int) -> list[int]:

@@ -9,11 +9,14 @@ from contextlib import suppress
 from harness import processes, scratch
 from harness.bounds import CPU, MEMORY, OUTPUT, SCRATCH, Bounds
 from harness.cgroups import Cell
+from harness.processes import Process
 
 #: Time between two looks (s), ...
 INTERVAL_S = 0.05
-#: ... or this many times what a look takes, so that looking costs a twentieth of a core at most.
-THRIFT = 20
+#: ... or this many times what a look takes, so that looking costs a core a twentieth; ...
+_THRIFT = 20
+#: ... this many times where it decides whether the bound of memory is passed.
+_THRIFT_AT_BOUND = 3
 
 
 class Watch:
@@ -29,11 +32,12 @@ class Watch:
         self.cpu_s, self.memory = 0.0, 0
         self._bounds, self._log, self._cell = bounds, log, cell
         self._lost_cpu_s = self._seen_cpu_s = 0.0
+        self._asked = self._asking_took = 0.0
         self.next = time.monotonic() + INTERVAL_S
 
     def look(self, reaped_cpu_s: float) -> str | None:
         """Return what has become too much, if anything; reaped_cpu_s: of those that ended."""
-        start = time.monotonic()
+        start, asked = time.monotonic(), self._asked
         peak = None
         if self._cell is not None:
             peak = self._cell.peak()
@@ -44,7 +48,8 @@ class Watch:
             self.memory = max(self.memory, peak)
         exceeded = self._exceeded()
         end = time.monotonic()
-        self.next = end + max(INTERVAL_S, THRIFT * (end - start))
+        took = end - start - (self._asking_took if self._asked != asked else 0.0)
+        self.next = end + max(INTERVAL_S, _THRIFT * took)
         return exceeded
 
     def last_look(self, reaped_cpu_s: float, max_rss: int) -> str | None:
@@ -65,8 +70,24 @@ class Watch:
         self.cpu_s = max(self.cpu_s, used + self._lost_cpu_s)
         memory = sum(process.rss for process in below)
         if memory > self.memory:
-            # Only now is it worth asking how much of it is shared.
-            self.memory = max(self.memory, processes.shared_out(below) if below[1:] else memory)
+            self.memory = max(self.memory, self._shared_out(below, memory))
+
+    def _shared_out(self, below: list[Process], memory: int) -> int:
+        """Return the memory in use where shared pages count once; 0 where it's too early to ask.
+
+        memory: the sum in which they count for every process.
+        """
+        if not below[1:]:
+            return memory
+        bound = self._bounds.memory
+        thrift = _THRIFT if bound is None or memory <= bound else _THRIFT_AT_BOUND
+        start = time.monotonic()
+        if start < self._asked + thrift * self._asking_took:
+            return 0
+        shared_out = processes.shared_out(below)
+        self._asked = time.monotonic()
+        self._asking_took = self._asked - start
+        return shared_out
 
     def _exceeded(self) -> str | None:
         bounds = self._bounds
@@ -87,7 +108,10 @@ class Watch:
         return self._cell.was_full()
 
     def _scratch(self) -> float:
-        return 0.0 if self._bounds.folder is None else scratch.disk_usage(self._bounds.folder)
+        folder = self._bounds.folder
+        if folder is None:
+            return 0.0
+        return scratch.disk_usage(folder) + processes.unlinked_files(folder)
 
     def _output(self) -> int:
         """Return the size of the larger of the printed output and the result file, bytes."""

@@ -273,6 +273,8 @@ def runtime_session(path: Path) -> InferenceSession:
 
 
 def _session(content: bytes, where: str) -> InferenceSession:
+    # Version 1.32 reports to its makers and leaves a file in /tmp, unless told before its import.
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime  # noqa: PLC0415 (slow to import, and not always needed)
 
     options = onnxruntime.SessionOptions()

@@ -13,25 +13,26 @@ from harness_helpers import carriers, wait_until
 
 from harness.bounds import WALL, Bounds
 from harness.process_tree import GRACE_S
-from harness.supervisor import CannotStart, Supervisor, SupervisorLost
+from harness.supervisor import CannotStart, Supervisor
 
 
-@pytest.fixture(params=[True, False], ids=["cgroups", "fallback"])
-def supervisor(request, marker):
+@pytest.fixture(scope="module", params=[True, False], ids=["cgroups", "fallback"])
+def shared_supervisor(request):
     """One that uses control groups where they work, and one that does not."""
     with Supervisor(cgroups=request.param) as helper:
         yield helper
+
+
+@pytest.fixture
+def supervisor(shared_supervisor, marker):
+    (shared_supervisor.scratch / "log").unlink(missing_ok=True)
+    return shared_supervisor
 
 
 def run(supervisor, script, wall_s=20.0, **bounds):
     log, environment = supervisor.scratch / "log", dict(os.environ)
     command = ["bash", "-c", script]
     return supervisor.run(command, supervisor.scratch, environment, log, Bounds(wall_s, **bounds))
-
-
-def others(marker, supervisor):
-    """Return the processes with the marker, but for the keeper of limits and its guard."""
-    return [(pid, line) for pid, line in carriers(marker) if str(supervisor.scratch) not in line]
 
 
 @pytest.mark.parametrize("status", [0, 1, 7, 139])
@@ -83,7 +84,7 @@ def test_limit_is_kept_within_half_a_second(supervisor, marker, script):
     assert outcome.exceeded == WALL
     assert limit + GRACE_S <= outcome.wall_s <= wall < limit + 0.5
     assert outcome.survivors == 0
-    assert others(marker, supervisor) == []
+    assert carriers(marker) == []
 
 
 LEFTOVERS = {
@@ -101,7 +102,7 @@ def test_what_is_left_behind_is_ended(supervisor, marker, script):
     assert outcome.exit_code == 3
     assert not outcome.timed_out
     assert outcome.survivors == 0
-    assert others(marker, supervisor) == []
+    assert carriers(marker) == []
 
 
 def test_process_that_hands_itself_on_is_caught(supervisor, marker):
@@ -115,7 +116,7 @@ def test_process_that_hands_itself_on_is_caught(supervisor, marker):
     )
     outcome = run(supervisor, f'{sys.executable} -c "{code}"\nexit 0')
     assert outcome.survivors == 0
-    assert others(marker, supervisor) == []
+    assert carriers(marker) == []
 
 
 def test_command_that_cannot_start_is_named(supervisor):
