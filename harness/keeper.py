@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import sys
 import time
@@ -26,8 +27,8 @@ if __name__ == "__main__":
     # It is started without the folder of this file, or the current one, among Python's paths.
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from harness import processes, scratch
-from harness.bounds import Bounds, Outcome
+from harness import landlock, processes, scratch
+from harness.bounds import LANDLOCK, NOTHING, Bounds, Outcome
 from harness.cgroups import Cells, remove_all
 from harness.process_tree import GIVE_UP_S, Bell, become_subreaper, run_limited
 
@@ -49,25 +50,50 @@ def _answer(data: dict[str, Any]) -> None:
     os.write(1, json.dumps(data).encode() + b"\n")
 
 
-def _run(request: dict[str, Any], bell: Bell, cells: Cells | None) -> Outcome:
-    bounds = Bounds(**request.pop("bounds"))
+def _run(request: dict[str, Any], bell: Bell, cells: Cells | None, signals: str) -> Outcome:
+    request["bounds"] = Bounds(**request["bounds"])
     if cells is not None:
         # Where a group cannot be entered, or there can be none any more, there are other means.
         with suppress(SubprocessError):
-            return run_limited(**request, bounds=bounds, bell=bell, cells=cells)
-    return run_limited(**request, bounds=bounds, bell=bell, cells=None)
+            return run_limited(**request, bell=bell, cells=cells, signals=signals)
+    return run_limited(**request, bell=bell, cells=None, signals=signals)
+
+
+def _stay_apart() -> str:
+    """Forbid this process, and all that it will start, to signal others; return by what means.
+
+    A tool can then kill its keeper, but neither guard nor harness nor anything else.
+    """
+    if not landlock.can_forbid_signals(no_new_privileges=False):
+        return NOTHING
+    try:
+        rules = landlock.Rules(None, signals=True)
+        rules.enforce()
+        rules.close()
+    except OSError:
+        return NOTHING
+    return LANDLOCK
+
+
+def _prepare() -> None:
+    """Set what all commands inherit, and take a name that ``killall python`` does not mean."""
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with suppress(OSError):
+        Path("/proc/self/comm").write_text("closedlap-keep")
 
 
 def serve(folder: str, cgroups: bool) -> None:
     """Answer requests until standard input ends."""
     become_subreaper()
+    _prepare()
+    signals = _stay_apart()
     bell = Bell(stop=0)
     cells = Cells.open() if cgroups else None
     try:
         _answer({"ready": True})
         while (line := _read_line()) is not None:
             try:
-                _answer(asdict(_run(json.loads(line), bell, cells)))
+                _answer(asdict(_run(json.loads(line), bell, cells, signals)))
             except OSError as error:
                 _answer({"error": f"{error.filename or 'the command'}: {error.strerror}"})
             except SubprocessError as error:

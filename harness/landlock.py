@@ -83,6 +83,7 @@ class Rules:
 
     def __init__(self, folder: str | None, signals: bool) -> None:
         self._library = _library()
+        self.signals = signals
         handled = _CHANGES if folder is not None else 0
         scoped = _SCOPE_SIGNAL if signals else 0
         attributes = struct.pack("<QQQ", handled, 0, scoped)

@@ -15,13 +15,14 @@ import os
 import resource
 import select
 import signal
+import stat
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from harness import landlock, processes
+from harness import landlock, processes, scratch
 from harness.bounds import (
     AFFINITY,
     CGROUP,
@@ -104,7 +105,12 @@ class Tree:
     """
 
     def __init__(
-        self, command: list[str], cwd: str, env: dict[str, str], log: int, setup: Callable[[], None]
+        self,
+        command: list[str],
+        cwd: str,
+        env: dict[str, str],
+        log: int,
+        setup: Callable[[], None] | None,
     ) -> None:
         self.exit_code: int | None = None
         self.cpu_s, self.max_rss = 0.0, 0
@@ -119,6 +125,16 @@ class Tree:
             start_new_session=True,
             preexec_fn=setup,  # noqa: PLW1509 (this process has one thread)
         )
+
+    def prepare(self, bounds: Bounds) -> None:
+        """Set what a process that has just been started hands on to its children."""
+        pid = self._main.pid
+        with contextlib.suppress(OSError):
+            Path(f"/proc/{pid}/oom_score_adj").write_bytes(_FIRST_TO_GO)
+        if bounds.cpu_s is not None and hasattr(resource, "prlimit"):
+            most = int(bounds.cpu_s) + 2
+            with contextlib.suppress(OSError, ValueError):
+                resource.prlimit(pid, resource.RLIMIT_CPU, (most, most))
 
     def reap(self) -> bool:
         """Collect every ended child; return whether a child is left."""
@@ -183,31 +199,46 @@ def run_limited(
     bounds: Bounds,
     bell: Bell,
     cells: Cells | None,
+    signals: str = NOTHING,
 ) -> Outcome:
     """Run a command; return when it and everything that it started has ended.
 
-    log: the file that its output is appended to; cells: where control groups are to be made.
-    Raises OSError if it cannot be started.
+    log: the file that its output is appended to; cells: where control groups are to be made;
+    signals: what already keeps it from signalling others. Raises OSError if it cannot be started.
     """
     cell = None
     if cells is not None:
         with contextlib.suppress(OSError):
             cell = cells.cell(bounds.memory, bounds.cores)
-    rules, means = _rules(bounds)
-    output = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    rules = _rules(bounds)
+    output = _open_log(log)
     try:
         start = time.monotonic()
         pinned = cell is not None and cells is not None and cells.can_pin
-        setup = _setup(bounds, cell, pinned, rules)
         watch = Watch(bounds, output, cell)
-        tree = Tree(command, cwd, env, output, setup)
-        return _wait(tree, start, bounds, bell, cell, watch, _means(means, bounds, cell, pinned))
+        with _pinned(None if pinned else bounds.cores):
+            tree = Tree(command, cwd, env, output, _setup(cell, rules))
+        tree.prepare(bounds)
+        means = _means(bounds, cell, pinned, rules, signals)
+        return _wait(tree, start, bounds, bell, cell, watch, means)
     finally:
         os.close(output)
         if rules is not None:
             rules.close()
         if cell is not None:
             cell.remove()
+
+
+def _open_log(path: str) -> int:
+    """Open a log to append to; the command before may have put anything in its place."""
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+    with contextlib.suppress(OSError):
+        fd = os.open(path, flags, 0o600)
+        if stat.S_ISREG(os.fstat(fd).st_mode):
+            return fd
+        os.close(fd)
+    scratch.remove(path)
+    return os.open(path, flags | os.O_EXCL, 0o600)
 
 
 def _wait(
@@ -248,49 +279,50 @@ def _wait(
     )
 
 
-def _rules(bounds: Bounds) -> tuple[landlock.Rules | None, Means]:
-    """Return what the command may not do to others, and by what means."""
-    folder = bounds.folder if bounds.contain and landlock.can_forbid_writes() else None
-    signals = landlock.can_forbid_signals(no_new_privileges=folder is not None)
-    if folder is None and not signals:
-        return None, Means()
+def _rules(bounds: Bounds) -> landlock.Rules | None:
+    """Return what keeps the command in its scratch folder, where that is asked for and can be."""
+    if not bounds.contain or bounds.folder is None or not landlock.can_forbid_writes():
+        return None
     try:
-        rules = landlock.Rules(folder, signals)
+        return landlock.Rules(bounds.folder, landlock.can_forbid_signals(no_new_privileges=True))
     except OSError:
-        return None, Means()
-    return rules, Means(
-        writes=LANDLOCK if folder else NOTHING, signals=LANDLOCK if signals else NOTHING
-    )
+        return None
 
 
-def _setup(
-    bounds: Bounds, cell: Cell | None, pinned: bool, rules: landlock.Rules | None
-) -> Callable[[], None]:
-    """Return what a new process does before it becomes the command."""
+def _setup(cell: Cell | None, rules: landlock.Rules | None) -> Callable[[], None] | None:
+    """Return what a new process must do itself before it becomes the command.
+
+    None, where there is nothing: then the process is made without copying this one.
+    """
+    if cell is None and rules is None:
+        return None
 
     def setup() -> None:
         if cell is not None:
             cell.enter()
-        if bounds.cores and not pinned and hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(0, bounds.cores)
-        with contextlib.suppress(OSError):
-            Path("/proc/self/oom_score_adj").write_bytes(_FIRST_TO_GO)
-        _limit(resource.RLIMIT_CORE, 0)
-        if bounds.cpu_s is not None:
-            _limit(resource.RLIMIT_CPU, int(bounds.cpu_s) + 2)
         if rules is not None:
             rules.enforce()
 
     return setup
 
 
-def _limit(what: int, most: int) -> None:
-    _, hard = resource.getrlimit(what)
-    if hard == resource.RLIM_INFINITY or hard > most:
-        resource.setrlimit(what, (most, most))
+@contextlib.contextmanager
+def _pinned(cores: tuple[int, ...] | None) -> Iterator[None]:
+    """Run on these cores meanwhile; what is started then stays there."""
+    if not cores or not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, cores)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
 
 
-def _means(means: Means, bounds: Bounds, cell: Cell | None, pinned: bool) -> Means:
+def _means(
+    bounds: Bounds, cell: Cell | None, pinned: bool, rules: landlock.Rules | None, signals: str
+) -> Means:
     cores = NOTHING
     if bounds.cores:
         can = hasattr(os, "sched_setaffinity")
@@ -301,6 +333,6 @@ def _means(means: Means, bounds: Bounds, cell: Cell | None, pinned: bool) -> Mea
         cpu=SAMPLES if cell is None else CGROUP,
         memory=SAMPLES if cell is None else CGROUP,
         cores=cores,
-        writes=means.writes,
-        signals=means.signals,
+        writes=NOTHING if rules is None else LANDLOCK,
+        signals=LANDLOCK if rules is not None and rules.signals else signals,
     )

@@ -7,21 +7,21 @@ folder, each under a wall-time limit on its whole process tree.
 from __future__ import annotations
 
 import os
-import sys
-import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from harness import landlock, scratch
+from harness import landlock
 from harness.answer import Answer, read_answer
 from harness.bounds import CPU, MEMORY, OUTPUT, SCRATCH, Bounds, Means, Outcome
 from harness.catalogue import Entry, relative, sha256
 from harness.files import read_ends
 from harness.limits import DEFAULT, DEFAULT_OUTPUT_MIB, MIB, Allowance, bounds, limits_kept
+from harness.place import Place
 from harness.process_tree import GRACE_S, POLITE_S
 from harness.records import (
     PREPARE_ERROR,
@@ -44,8 +44,6 @@ LONGEST_LOG = 1 << 20
 _TIMEOUT_STATUS = 124
 #: Exit status of a script that was killed, as one is that uses too much of something.
 _KILLED_STATUS = 137
-#: Folders that are looked for in HOME where these variables are not set.
-_BELOW_HOME = ("XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME")
 
 
 @dataclass(frozen=True)
@@ -55,25 +53,6 @@ class Finished:
     record: Record
     witness: bytes | None
     log: bytes
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Where one instance is run: a folder of the tool's, and beside it what it prints."""
-
-    folder: Path
-
-    @property
-    def results(self) -> Path:
-        return self.folder / "result.txt"
-
-    @property
-    def log(self) -> Path:
-        return self.folder.with_name(f"{self.folder.name}.log")
-
-    def remove(self) -> None:
-        scratch.remove(str(self.folder))
-        self.log.unlink(missing_ok=True)
 
 
 class Runner:
@@ -97,6 +76,7 @@ class Runner:
         self.tool, self.root, self._keep = tool, root, keep
         self._cores, self._allowance = cores, limits
         self._hashes: dict[Path, str] = {}
+        self._spare: Place | None = None
         self._supervisor = Supervisor(keep, limits.cgroups)
 
     def install(self) -> tuple[str | None, bytes]:
@@ -105,18 +85,17 @@ class Runner:
         Of the limits only that of wall time and the default one of output hold, and HOME is the
         user's own: what is installed is to stay.
         """
-        place = self._place()
-        limits = bounds(DEFAULT, INSTALL_LIMIT_S, None, str(place.results), str(place.folder))
-        environment = _environment(place.folder, keep_home=True)
-        try:
-            outcome = self._run(self.tool.command(INSTALL), place, environment, limits)
+        with self._place() as place:
+            limits = bounds(DEFAULT, INSTALL_LIMIT_S, None, str(place.results), str(place.folder))
+            try:
+                command = self.tool.command(INSTALL)
+                outcome = self._run(command, place, place.environment(keep_home=True), limits)
+            except SupervisorLost:
+                self._restart()
+                raise BadInput(
+                    f"tool {self.tool.name}: {INSTALL} killed the process that keeps its limit"
+                ) from None
             log = read_ends(place.log, LONGEST_LOG)
-        except SupervisorLost:
-            raise BadInput(
-                f"tool {self.tool.name}: {INSTALL} killed the process that keeps its limit"
-            ) from None
-        finally:
-            place.remove()
         how = None
         if outcome.timed_out:
             how = f"took longer than {INSTALL_LIMIT_S:g} s"
@@ -128,19 +107,16 @@ class Runner:
 
     def run(self, entry: Entry) -> Finished:
         """Run the tool on an instance."""
-        place = self._place()
-        try:
+        with self._place() as place:
             return self._run_in(place, entry)
-        finally:
-            place.remove()
 
-    def _run_in(self, place: _Place, entry: Entry) -> Finished:
+    def _run_in(self, place: Place, entry: Entry) -> Finished:
         allowance = self._allowance
         arguments = [entry.category, str(entry.onnx), str(entry.spec)]
         prepare_command = self.tool.command(PREPARE, *arguments)
         command = self.tool.command(RUN, *arguments, str(place.results), _plain(entry.timeout))
         onnx_sha256, spec_sha256 = self._sha256(entry.onnx), self._sha256(entry.spec)
-        environment = _environment(place.folder, allowance.keep_home)
+        environment = place.environment(allowance.keep_home)
 
         def limited(wall_s: float, cpu: bool) -> Bounds:
             folder, results = str(place.folder), str(place.results)
@@ -195,22 +171,22 @@ class Runner:
         return Finished(record, answer.witness, read_ends(place.log, LONGEST_LOG))
 
     def _run(
-        self, command: list[str], place: _Place, environment: dict[str, str], limits: Bounds
+        self, command: list[str], place: Place, environment: dict[str, str], limits: Bounds
     ) -> Outcome:
         try:
-            return self._supervisor.run(
-                command, place.folder / "work", environment, place.log, limits
-            )
+            return self._supervisor.run(command, place.work, environment, place.log, limits)
         except CannotStart as error:
             raise BadInput(f"tool {self.tool.name}: cannot be started ({error})") from None
 
-    def _place(self) -> _Place:
-        """Make a scratch folder; short, since sockets below TMPDIR allow about 100 characters."""
-        self._supervisor.scratch.mkdir(mode=0o700, exist_ok=True)  # a tool may have removed it
-        folder = Path(tempfile.mkdtemp(prefix="", dir=self._supervisor.scratch))
-        for name in ("work", "tmp", "home"):
-            (folder / name).mkdir()
-        return _Place(folder)
+    @contextmanager
+    def _place(self) -> Iterator[Place]:
+        """Lend a place that is as good as new; one that was left so is used again."""
+        place, self._spare = self._spare or Place(self._supervisor.scratch), None
+        try:
+            yield place
+        finally:
+            if place.clear():
+                self._spare = place
 
     def _sha256(self, path: Path) -> str:
         if path not in self._hashes:
@@ -219,7 +195,7 @@ class Runner:
 
     def _restart(self) -> None:
         self._supervisor.close()
-        self._supervisor = Supervisor(self._keep)
+        self._supervisor = Supervisor(self._keep, self._allowance.cgroups)
 
     def close(self) -> None:
         """End whatever runs, and remove all scratch folders."""
@@ -306,18 +282,6 @@ def _with_survivors(answer: Answer, survivors: int) -> Answer:
         return answer
     detail = f"{survivors} processes of the tool could not be killed"
     return replace(answer, detail=f"{answer.detail}; {detail}" if answer.detail else detail)
-
-
-def _environment(folder: Path, keep_home: bool) -> dict[str, str]:
-    """Return the environment of a tool's scripts; PYTHON is the harness's own interpreter."""
-    environment = {**os.environ, "PYTHON": sys.executable}
-    for name in ("TMPDIR", "TMP", "TEMP", "TEMPDIR"):
-        environment[name] = str(folder / "tmp")
-    if not keep_home:
-        for name in _BELOW_HOME:
-            environment.pop(name, None)
-        environment["HOME"] = str(folder / "home")
-    return environment
 
 
 def _plain(seconds: float) -> str:

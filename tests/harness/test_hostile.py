@@ -17,6 +17,7 @@ from harness.catalogue import select
 from harness.limits import Allowance
 from harness.records import Record
 from harness.runner import Runner
+from harness.scratch import disk_usage, remove
 from harness.store import RunFolder
 from harness.supervisor import Supervisor
 from harness.tool import find_tool
@@ -163,12 +164,13 @@ while True:
     "deep_folders": (
         """"$PYTHON" -c '
 import os
-for i in range(3000):
-    os.mkdir("d"); os.chdir("d")
+for i in range(40):
+    os.mkdir("d" * 200); os.chdir("d" * 200)
 open("file", "w")' && exit 7""",
         "error_exit_code_137",
         "scratch",
     ),
+    "folder_for_log": ("rm -f ../../*.log; mkdir -p ../../{a..c}.log; echo x", NONE, None),
     "strange_names": (
         """touch -- '-rf' $'new\\nline' $'\\xff' '*'; echo unsat > "$RESULTS" """,
         "unsat",
@@ -359,6 +361,7 @@ def test_home_and_temporary_folders_lie_in_scratch(make_runner, monkeypatch):
     temporary = [str(Path(home).with_name("tmp"))] * 2
     assert others == [*temporary, "", f"{home}:", "", f"{temporary[0]}:"]
     assert finished.record.limits.home == "fresh"
+    runner.close()
     assert not Path(home).exists()
 
 
@@ -401,14 +404,30 @@ def test_uncontained_tool_is_said_to_be_so(make_runner, tmp_path):
     assert (tmp_path / "outside").read_text() == "x\n"
 
 
-def test_killing_its_supervisor(make_runner):
-    run = 'kill -KILL $PPID && sleep 1000; echo unsat > "$RESULTS"'
+def test_killing_its_supervisor(make_runner, tmp_path, monkeypatch):
+    # Once only; the next instance is run by a new one.
+    run = (
+        '[ -e "$ONCE" ] || { touch "$ONCE"; kill -KILL $PPID; sleep 1000; }\n'
+        'echo unsat > "$RESULTS"'
+    )
+    monkeypatch.setenv("ONCE", str(tmp_path / "once"))
     runner, entry = make_runner(run)
     record = runner.run(entry).record
-    # Either it cannot, or it is an error; and the next one runs.
-    forbidden = record.limits.signals_by == "landlock"
-    assert record.result == ("unsat" if forbidden else "error")
-    assert runner.run(entry).record.result == record.result
+    assert record.result == "error"
+    assert record.detail == "the process that keeps the limits was killed"
+    assert runner.run(entry).record.result == "unsat"
+
+
+def test_killing_the_harness(make_runner):
+    if not landlock.can_forbid_signals(no_new_privileges=False):
+        pytest.skip("Landlock 6 (Linux 6.12) and root are needed")
+    run = f'kill -0 {os.getpid()} || kill -0 {{guard}} || echo unsat > "$RESULTS"'
+    runner, entry = make_runner("")
+    script = run.format(guard=runner._supervisor._process.pid)
+    runner.tool.folder.joinpath("run_instance.sh").write_text(f'RESULTS="$5"; {script}')
+    record = runner.run(entry).record
+    assert record.result == "unsat"
+    assert record.limits.signals_by == "landlock"
 
 
 @needs_landlock
@@ -420,6 +439,63 @@ def test_contained_tool_reaches_no_other_process(make_runner):
     record = runner.run(entry).record
     assert record.result == "unsat"
     assert record.limits.signals_by == "landlock"
+
+
+@pytest.mark.parametrize("thing", ["mkdir -p $LOG/a", "mkfifo $LOG", "ln -s $PRECIOUS $LOG", ":"])
+def test_log_that_was_tampered_with_is_begun_anew(make_runner, tmp_path, monkeypatch, thing):
+    precious = tmp_path / "precious"
+    precious.write_text("x")
+    monkeypatch.setenv("PRECIOUS", str(precious))
+    prepare = f"LOG=$(dirname $PWD).log; rm $LOG; {thing}"
+    runner, entry = make_runner('echo printed; echo unsat > "$RESULTS"', prepare=prepare)
+    for _ in range(2):
+        finished = runner.run(entry)
+        assert finished.record.result == "unsat"
+        assert finished.log == b"printed\n"
+    assert precious.read_text() == "x"
+
+
+def test_each_instance_begins_in_empty_folders(make_runner):
+    # The folder may be that of the instance before: nothing of it may be left, rights included.
+    show = 'find "$(dirname "$PWD")" -printf "%P %y %m\n" | sort'
+    spoil = 'touch x "$HOME/.x" "$TMPDIR/y"; mkdir "$HOME/z"; chmod 755 .; echo unsat > "$RESULTS"'
+    runner, entry = make_runner(f"{show}; {spoil}")
+    first = runner.run(entry).log
+    assert first.decode().split("\n") == [
+        " d 700",
+        "home d 700",
+        "tmp d 700",
+        "work d 700",
+        "",
+    ]
+    assert runner.run(entry).log == first
+    runner.tool.folder.joinpath("run_instance.sh").write_text(show)
+    assert runner.run(entry).log == first
+    assert runner.run(entry).log == first
+
+
+def test_everything_below_a_folder_is_removed_and_no_link_followed(tmp_path):
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    (kept / "file").write_text("x")
+    top = deep = tmp_path / "top"
+    for i in range(130):
+        deep = deep / f"{i}"
+    deep.mkdir(parents=True)
+    (deep / "file").write_text("x")
+    (deep / "link").symlink_to(kept)
+    (top / "link").symlink_to(kept)
+    (top / "side").mkdir()
+    (top / "side" / "file").write_text("x")
+    (top / "side").chmod(0)
+    (top / "0" / "1").chmod(0)
+    assert disk_usage(str(top)) >= 130 * 4096 or os.getuid() != 0
+    remove(str(top))
+    remove(str(tmp_path / "absent"))
+    (tmp_path / "link").symlink_to(kept)
+    remove(str(tmp_path / "link"))
+    assert list(tmp_path.iterdir()) == [kept]
+    assert (kept / "file").read_text() == "x"
 
 
 def sleepers(seconds):
