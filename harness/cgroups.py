@@ -14,7 +14,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 #: All that a group's files may raise when the tool, being root, has tampered with them.
@@ -78,8 +78,8 @@ class Cells:
     can_pin: whether a cell can be bound to cores.
     """
 
-    def __init__(self, parent: Any) -> None:
-        self._parent = parent
+    def __init__(self, parent: Any, before: str) -> None:
+        self._parent, self._before = parent, before
         self._needed = [parent.CPU, parent.MEMORY, parent.FREEZE]
         self.can_pin = parent.CPUSET in parent
 
@@ -94,12 +94,13 @@ class Cells:
         try:
             from benchexec.cgroups import Cgroups  # noqa: PLC0415 (slow, and Linux only)
 
+            before = _own_group()
             parent = Cgroups.initialize()
             for name in ("CPU", "MEMORY", "FREEZE", "CPUSET"):
                 parent.require_subsystem(getattr(parent, name))
             if not all(getattr(parent, name) in parent for name in ("CPU", "MEMORY", "FREEZE")):
                 return None
-            cells = cls(parent)
+            cells = cls(parent, before)
             return cells if cells._work() else None
         except (ImportError, AttributeError, *_FAILURES):
             return None
@@ -128,6 +129,18 @@ class Cells:
             raise OSError(0, f"no cgroup ({error})") from None
         return cell
 
+    def close(self) -> None:
+        """Leave the group that this process was moved to, and remove it where that can be."""
+        own = PurePosixPath(_own_group())
+        if self._parent.version == 1 or str(own) == self._before:
+            return
+        with suppress(*_FAILURES):
+            parent = Path(self._parent.path)
+            mount = str(parent).removesuffix(str(own.parent))
+            Path(f"{mount}{self._before}/cgroup.procs").write_text(str(os.getpid()))
+            (parent / own.name).rmdir()
+            parent.rmdir()
+
     def _work(self) -> bool:
         """Try a group on a process of our own: files that are there may yet do nothing."""
         with _removed(self.cell(_PROBE_MEMORY)) as cell:
@@ -137,6 +150,15 @@ class Cells:
             _, status = os.waitpid(pid, 0)
             killed = os.waitstatus_to_exitcode(status) == -signal.SIGKILL
             return killed and cell.was_full() and (cell.cpu_s() or 0) >= _PROBE_CPU_S
+
+
+def _own_group() -> str:
+    """Return the name of this process's group, in version 2 of the interface; empty without."""
+    with suppress(OSError):
+        for line in Path("/proc/self/cgroup").read_text().splitlines():
+            if line.startswith("0::"):
+                return line.removeprefix("0::")
+    return ""
 
 
 def remove_all(pid: int) -> None:

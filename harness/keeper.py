@@ -104,6 +104,8 @@ def serve(folder: str, cgroups: bool) -> None:
         pass
     finally:
         scratch.remove(folder)
+        if cells is not None:
+            cells.close()
 
 
 def _guard(keeper: int, folder: str) -> int:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import select
 import subprocess
 import sys
 import tempfile
@@ -102,10 +104,20 @@ class Supervisor:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        self._wait_for_keeper()
         self._process.stdout.close()
         if self._process.returncode != 0:
             _end_marked(str(self.scratch))
             scratch.remove(str(self.scratch))
+
+    def _wait_for_keeper(self) -> None:
+        """Wait until no keeper can answer any more: it outlives its guard where that was killed."""
+        assert self._process.stdout is not None
+        answers = self._process.stdout.fileno()
+        give_up = time.monotonic() + _CLOSE_S
+        while select.select([answers], [], [], max(0.0, give_up - time.monotonic()))[0]:
+            if not os.read(answers, 1 << 16):
+                return
 
     def __enter__(self) -> Self:
         return self
