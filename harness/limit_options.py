@@ -87,9 +87,9 @@ _OPTIONS = (
         help="Let the tool write nowhere but in its scratch folder.",
     ),
     click.option(
-        "--keep-home",
+        "--fresh-home",
         is_flag=True,
-        help="Leave HOME as it is; else it is an empty folder (not for install_tool.sh).",
+        help="Give each instance an empty folder as HOME.",
     ),
     click.option(
         "--no-cgroups",
@@ -109,7 +109,7 @@ def limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
         output_limit: float | None,
         scratch_limit: float | None,
         contain: bool,
-        keep_home: bool,
+        fresh_home: bool,
         no_cgroups: bool,
         **others: Any,
     ) -> Any:
@@ -121,7 +121,7 @@ def limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
             output_mib=output_limit,
             scratch_mib=scratch_limit,
             contain=contain,
-            keep_home=keep_home,
+            fresh_home=fresh_home,
             cgroups=not no_cgroups,
         )
         return command(limits=limits, **others)

@@ -24,9 +24,9 @@ class Allowance(Data):
     cpu_s: CPU time of all processes together, default no limit; memory_mib: of all processes
     together, default the machine's; output_mib: of what is printed, and of the result file,
     default DEFAULT_OUTPUT_MIB; scratch_mib: of all files in the scratch folder, default the disk's.
-    contain: nothing outside the scratch folder may be written. keep_home: HOME is the
-    user's own, not a fresh folder in the scratch folder. cgroups: whether control groups are
-    used where they work.
+    contain: nothing outside the scratch folder may be written. fresh_home: HOME is an
+    empty folder in the scratch folder. cgroups: whether control groups are used where they
+    work.
     """
 
     cpu_s: Positive | None = None
@@ -34,7 +34,7 @@ class Allowance(Data):
     output_mib: Positive | None = None
     scratch_mib: Positive | None = None
     contain: bool = False
-    keep_home: bool = False
+    fresh_home: bool = False
     cgroups: bool = True
 
 
@@ -89,7 +89,7 @@ def limits_kept(
         cores=_core_limit(cores, means.cores),
         writes_by=means.writes,
         signals_by=means.signals,
-        home="own" if allowance.keep_home else "fresh",
+        home="fresh" if allowance.fresh_home else "own",
         kept_by=means.processes,
     )
 

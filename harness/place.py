@@ -43,16 +43,23 @@ class Place:
         """What scripts print; not in the scratch folder, so that it outlives that."""
         return self.folder.with_name(f"{self.folder.name}.log")
 
-    def environment(self, keep_home: bool) -> dict[str, str]:
+    def environment(self, fresh_home: bool) -> dict[str, str]:
         """Return the environment of a tool's scripts; PYTHON is the harness's own interpreter."""
         environment = {**os.environ, "PYTHON": sys.executable}
         for name in ("TMPDIR", "TMP", "TEMP", "TEMPDIR"):
             environment[name] = str(self.folder / "tmp")
-        if not keep_home:
+        if fresh_home:
             for name in _BELOW_HOME:
                 environment.pop(name, None)
             environment["HOME"] = str(self.folder / "home")
         return environment
+
+    def restore(self) -> None:
+        """Make folders anew that a script before has removed, or put something else in place of."""
+        for folder in (self.folder, *(self.folder / name for name in _PARTS)):
+            if folder.is_symlink() or not folder.is_dir():
+                scratch.remove(str(folder))
+                folder.mkdir(mode=0o700, parents=True, exist_ok=True)
 
     def clear(self) -> bool:
         """Make it new again where little is to be done for it; else remove it, and return False.

@@ -257,7 +257,7 @@ def _wait(
         if now >= deadline:
             exceeded = WALL
         elif now >= watch.next:
-            exceeded = watch.look(tree.cpu_s)
+            exceeded = watch.look(tree.cpu_s, deadline)
         else:
             bell.wait(min(deadline, watch.next) - now)
         tree.reap()

@@ -82,14 +82,14 @@ class Runner:
     def install(self) -> tuple[str | None, bytes]:
         """Run install_tool.sh; return what is wrong, if anything, and what it printed.
 
-        Of the limits only that of wall time and the default one of output hold, and HOME is the
-        user's own: what is installed is to stay.
+        Of the limits only that of wall time and the default one of output hold; HOME is the
+        user's own, and anything may be written: what is installed is to stay.
         """
         with self._place() as place:
             limits = bounds(DEFAULT, INSTALL_LIMIT_S, None, str(place.results), str(place.folder))
             try:
                 command = self.tool.command(INSTALL)
-                outcome = self._run(command, place, place.environment(keep_home=True), limits)
+                outcome = self._run(command, place, place.environment(fresh_home=False), limits)
             except SupervisorLost:
                 self._restart()
                 raise BadInput(
@@ -116,7 +116,7 @@ class Runner:
         prepare_command = self.tool.command(PREPARE, *arguments)
         command = self.tool.command(RUN, *arguments, str(place.results), _plain(entry.timeout))
         onnx_sha256, spec_sha256 = self._sha256(entry.onnx), self._sha256(entry.spec)
-        environment = place.environment(allowance.keep_home)
+        environment = place.environment(allowance.fresh_home)
 
         def limited(wall_s: float, cpu: bool) -> Bounds:
             folder, results = str(place.folder), str(place.results)
@@ -124,6 +124,7 @@ class Runner:
 
         started = datetime.now(UTC).isoformat(timespec="milliseconds")
         prepare = run = _NOTHING
+        lost = False
         try:
             to_prepare = limited(PREPARE_LIMIT_S, cpu=False)
             prepare = self._run(prepare_command, place, environment, to_prepare)
@@ -134,8 +135,9 @@ class Runner:
             answer = _with_survivors(answer, prepare.survivors + run.survivors)
         except SupervisorLost:
             answer = Answer("error", detail="the process that keeps the limits was killed")
-            self._restart()
-        if prepare.survivors or run.survivors:
+            lost = True
+        log = read_ends(place.log, LONGEST_LOG)
+        if lost or prepare.survivors or run.survivors:
             self._restart()
         means = (prepare if run is _NOTHING else run).means
         record = Record(
@@ -168,11 +170,12 @@ class Runner:
             ),
             log=f"{entry.id}.log",
         )
-        return Finished(record, answer.witness, read_ends(place.log, LONGEST_LOG))
+        return Finished(record, answer.witness, log)
 
     def _run(
         self, command: list[str], place: Place, environment: dict[str, str], limits: Bounds
     ) -> Outcome:
+        place.restore()
         try:
             return self._supervisor.run(command, place.work, environment, place.log, limits)
         except CannotStart as error:

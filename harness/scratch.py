@@ -10,6 +10,7 @@ import contextlib
 import os
 import secrets
 import stat
+import time
 
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 #: Folders deeper than this are moved up before they are emptied, so that neither recursion nor
@@ -17,13 +18,14 @@ _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 _DEEPEST = 50
 
 
-def disk_usage(folder: str) -> float:
+def disk_usage(folder: str, until: float = float("inf")) -> float:
     """Return the bytes on disk of all files below a folder; infinite where that can't be told.
 
     It cannot where a path is longer than the system allows, or a folder may not be read.
+    until: the time (time.monotonic) at which to return what has been seen so far.
     """
     total, to_visit = 0, [folder]
-    while to_visit:
+    while to_visit and time.monotonic() < until:
         try:
             with os.scandir(to_visit.pop()) as entries:
                 for entry in entries:

@@ -97,6 +97,8 @@ class Supervisor:
         """End what runs, remove the scratch folder, end the supervisor."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
+        if self._process.stdout.closed:
+            return
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.close()
         try:

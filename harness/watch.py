@@ -35,8 +35,11 @@ class Watch:
         self._asked = self._asking_took = 0.0
         self.next = time.monotonic() + INTERVAL_S
 
-    def look(self, reaped_cpu_s: float) -> str | None:
-        """Return what has become too much, if anything; reaped_cpu_s: of those that ended."""
+    def look(self, reaped_cpu_s: float, deadline: float) -> str | None:
+        """Return what has become too much, if anything.
+
+        reaped_cpu_s: of those that ended; deadline: (time.monotonic) when to have looked.
+        """
         start, asked = time.monotonic(), self._asked
         peak = None
         if self._cell is not None:
@@ -46,7 +49,7 @@ class Watch:
             self._sample(reaped_cpu_s)
         else:
             self.memory = max(self.memory, peak)
-        exceeded = self._exceeded()
+        exceeded = self._exceeded(deadline)
         end = time.monotonic()
         took = end - start - (self._asking_took if self._asked != asked else 0.0)
         self.next = end + max(INTERVAL_S, _THRIFT * took)
@@ -59,7 +62,7 @@ class Watch:
         self.cpu_s = max(self.cpu_s, reaped_cpu_s + self._lost_cpu_s)
         peak = None if self._cell is None else self._cell.peak()
         self.memory = max(self.memory, max_rss if peak is None else peak)
-        return self._exceeded()
+        return self._exceeded(float("inf"))
 
     def _sample(self, reaped_cpu_s: float) -> None:
         below = processes.descendants()
@@ -89,7 +92,7 @@ class Watch:
         self._asking_took = self._asked - start
         return shared_out
 
-    def _exceeded(self) -> str | None:
+    def _exceeded(self, deadline: float) -> str | None:
         bounds = self._bounds
         if bounds.memory is not None and self._is_full(bounds.memory):
             return MEMORY
@@ -97,7 +100,7 @@ class Watch:
             return CPU
         if bounds.output is not None and self._output() > bounds.output:
             return OUTPUT
-        if bounds.scratch is not None and self._scratch() > bounds.scratch:
+        if bounds.scratch is not None and self._scratch(deadline) > bounds.scratch:
             return SCRATCH
         return None
 
@@ -107,11 +110,11 @@ class Watch:
         # The peak counts cached files too, which the kernel gives up before it refuses memory.
         return self._cell.was_full()
 
-    def _scratch(self) -> float:
+    def _scratch(self, deadline: float) -> float:
         folder = self._bounds.folder
         if folder is None:
             return 0.0
-        return scratch.disk_usage(folder) + processes.unlinked_files(folder)
+        return scratch.disk_usage(folder, deadline) + processes.unlinked_files(folder)
 
     def _output(self) -> int:
         """Return the size of the larger of the printed output and the result file, bytes."""

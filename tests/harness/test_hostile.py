@@ -115,8 +115,8 @@ while True:
         KILLED,
         "scratch",
     ),
-    "fills_tmp_and_home": (
-        'for d in "$HOME" "$TMPDIR"; do head -c 16000000 /dev/zero > "$d/a"; done; sleep 1000',
+    "fills_tmp_and_work": (
+        'for d in . "$TMPDIR"; do head -c 16000000 /dev/zero > "$d/a"; done; sleep 1000',
         KILLED,
         "scratch",
     ),
@@ -352,10 +352,10 @@ def test_result_of_a_gigabyte_is_ended_by_default(make_runner):
     assert (record.limits.output_mib.asked, record.limits.output_mib.kept) == (None, 1024)
 
 
-def test_home_and_temporary_folders_lie_in_scratch(make_runner, monkeypatch):
+def test_a_fresh_home_and_temporary_folders_lie_in_scratch(make_runner, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", "/elsewhere")
     show = 'printf "%s\\n" "$HOME" "$TMPDIR" "$TMP" "${XDG_CACHE_HOME-}"; ls -A "$HOME" "$TMPDIR"'
-    runner, entry = make_runner(show)
+    runner, entry = make_runner(show, limits=Allowance(fresh_home=True))
     finished = runner.run(entry)
     home, *others = finished.log.decode().splitlines()
     temporary = [str(Path(home).with_name("tmp"))] * 2
@@ -365,8 +365,8 @@ def test_home_and_temporary_folders_lie_in_scratch(make_runner, monkeypatch):
     assert not Path(home).exists()
 
 
-def test_home_may_be_kept(make_runner):
-    runner, entry = make_runner('echo "$HOME"', limits=Allowance(keep_home=True))
+def test_home_is_the_users_own_by_default(make_runner):
+    runner, entry = make_runner('echo "$HOME"')
     finished = runner.run(entry)
     assert finished.log.decode().strip() == os.environ["HOME"]
     assert finished.record.limits.home == "own"
@@ -389,7 +389,7 @@ def test_contained_tool_writes_nowhere_else(make_runner, tmp_path):
         'echo x > /dev/null && echo x > "$TMPDIR/x" && echo x > "$HOME/x" && cat old\n'
         'echo unsat > "$RESULTS"'
     )
-    runner, entry = make_runner(run, limits=Allowance(contain=True))
+    runner, entry = make_runner(run, limits=Allowance(contain=True, fresh_home=True))
     finished = runner.run(entry)
     assert finished.record.result == "unsat"
     assert {path.name: path.read_text() for path in outside.iterdir()} == {"old": "old"}
@@ -441,6 +441,19 @@ def test_contained_tool_reaches_no_other_process(make_runner):
     assert record.limits.signals_by == "landlock"
 
 
+@pytest.mark.parametrize(
+    "thing", ["", "; touch $D", "; ln -s $PRECIOUS $D", "; mkdir $D; touch $D/work $D/tmp"]
+)
+def test_scratch_that_prepare_instance_spoils(make_runner, tmp_path, monkeypatch, thing):
+    (tmp_path / "precious").mkdir()
+    monkeypatch.setenv("PRECIOUS", str(tmp_path / "precious"))
+    prepare = f"D=$(dirname $PWD); cd /; rm -rf $D{thing}"
+    runner, entry = make_runner('touch x "$TMPDIR/x"; echo unsat > "$RESULTS"', prepare=prepare)
+    for _ in range(2):
+        assert runner.run(entry).record.result == "unsat"
+    assert list((tmp_path / "precious").iterdir()) == []
+
+
 @pytest.mark.parametrize("thing", ["mkdir -p $LOG/a", "mkfifo $LOG", "ln -s $PRECIOUS $LOG", ":"])
 def test_log_that_was_tampered_with_is_begun_anew(make_runner, tmp_path, monkeypatch, thing):
     precious = tmp_path / "precious"
@@ -458,7 +471,7 @@ def test_log_that_was_tampered_with_is_begun_anew(make_runner, tmp_path, monkeyp
 def test_each_instance_begins_in_empty_folders(make_runner):
     # The folder may be that of the instance before: nothing of it may be left, rights included.
     show = 'find "$(dirname "$PWD")" -printf "%P %y %m\n" | sort'
-    spoil = 'touch x "$HOME/.x" "$TMPDIR/y"; mkdir "$HOME/z"; chmod 755 .; echo unsat > "$RESULTS"'
+    spoil = 'touch x ../home/.x "$TMPDIR/y"; mkdir ../home/z; chmod 755 .; echo unsat > "$RESULTS"'
     runner, entry = make_runner(f"{show}; {spoil}")
     first = runner.run(entry).log
     assert first.decode().split("\n") == [
@@ -490,6 +503,8 @@ def test_everything_below_a_folder_is_removed_and_no_link_followed(tmp_path):
     (top / "side").chmod(0)
     (top / "0" / "1").chmod(0)
     assert disk_usage(str(top)) >= 130 * 4096 or os.getuid() != 0
+    # A look ends when it is told to, with what it has seen.
+    assert disk_usage(str(top), until=time.monotonic()) == 0
     remove(str(top))
     remove(str(tmp_path / "absent"))
     (tmp_path / "link").symlink_to(kept)
