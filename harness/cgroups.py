@@ -102,7 +102,7 @@ class Cells:
                 return None
             cells = cls(parent, before)
             return cells if cells._work() else None
-        except (ImportError, AttributeError, *_FAILURES):
+        except (Exception, SystemExit):  # whatever is wrong with them, there are other means
             return None
 
     def cell(self, memory: int | None = None, cores: tuple[int, ...] | None = None) -> Cell:

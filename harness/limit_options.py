@@ -56,6 +56,14 @@ class _Seconds(click.FloatRange):
         return seconds
 
 
+def _size(name: str, what: str) -> Callable[[Any], Any]:
+    return click.option(name, type=Size(), metavar="SIZE", help=what)
+
+
+def _flag(name: str, what: str) -> Callable[[Any], Any]:
+    return click.option(name, is_flag=True, help=what)
+
+
 _OPTIONS = (
     click.option(
         "--cpu-limit",
@@ -63,39 +71,15 @@ _OPTIONS = (
         metavar="S",
         help="CPU time of all processes of run_instance.sh; default: no limit.",
     ),
-    click.option(
+    _size(
         "--memory-limit",
-        type=Size(),
-        metavar="SIZE",
-        help="Memory of all processes together, as 4096 (MiB) or 16GB; default: the machine's.",
+        "Memory of all processes together, as 4096 (MiB) or 16GB; default: the machine's.",
     ),
-    click.option(
-        "--output-limit",
-        type=Size(),
-        metavar="SIZE",
-        help="Printed output, and the result file, each; default: 1GiB.",
-    ),
-    click.option(
-        "--scratch-limit",
-        type=Size(),
-        metavar="SIZE",
-        help="Files in the scratch folder; default: the disk's.",
-    ),
-    click.option(
-        "--contain",
-        is_flag=True,
-        help="Let the tool write nowhere but in its scratch folder.",
-    ),
-    click.option(
-        "--fresh-home",
-        is_flag=True,
-        help="Give each instance an empty folder as HOME.",
-    ),
-    click.option(
-        "--no-cgroups",
-        is_flag=True,
-        help="Keep limits without control groups, even where they work.",
-    ),
+    _size("--output-limit", "Printed output, and the result file, each; default: 1GiB."),
+    _size("--scratch-limit", "Files in the scratch folder; default: the disk's."),
+    _flag("--contain", "Let the tool write nowhere but in its scratch folder."),
+    _flag("--fresh-home", "Give each instance an empty folder as HOME."),
+    _flag("--no-cgroups", "Keep limits without control groups, even where they work."),
 )
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from harness_helpers import carriers, wait_until
 
+from harness import processes
 from harness.bounds import WALL, Bounds
 from harness.process_tree import GRACE_S
 from harness.supervisor import CannotStart, Supervisor
@@ -117,6 +118,25 @@ def test_process_that_hands_itself_on_is_caught(supervisor, marker):
     outcome = run(supervisor, f'{sys.executable} -c "{code}"\nexit 0')
     assert outcome.survivors == 0
     assert carriers(marker) == []
+
+
+def test_both_ways_of_looking_see_the_same_processes(monkeypatch):
+    command = ["bash", "-c", "sleep 1000 & (sleep 1000 & sleep 1000) & exec sleep 1000"]
+    before = {process.pid for process in processes.descendants()}
+    main = subprocess.Popen(command, start_new_session=True)
+
+    def pids():
+        return {process.pid for process in processes.descendants()} - before
+
+    try:
+        wait_until(lambda: len(pids()) == 5)
+        seen = pids()
+        monkeypatch.setattr(processes, "_LINUX", False)
+        assert pids() == seen
+        assert {p.group for p in processes.descendants() if p.pid in seen} == {main.pid}
+    finally:
+        os.killpg(main.pid, signal.SIGKILL)
+        main.wait()
 
 
 def test_command_that_cannot_start_is_named(supervisor):
