@@ -61,13 +61,32 @@ class Cell:
         return False
 
     def kill(self) -> None:
-        """Freeze and kill all that is here. May take half a second where it finds something."""
+        """Freeze all that is here and kill it: what forks cannot get away.
+
+        BenchExec's own way waits half a second where it finds something, and this must not.
+        """
+        group = Path(self._group[self._group.FREEZE])
+        if self._group.version == 1:
+            state, freeze, thaw = "freezer.state", "FROZEN", "THAWED"
+        else:
+            state, freeze, thaw = "cgroup.freeze", "1", "0"
         with suppress(*_FAILURES):
-            self._group.kill_all_tasks()
+            (group / state).write_text(freeze)
+        # The tool may have made groups of its own in this one.
+        folders = [Path(folder) for folder, _, _ in os.walk(group)]
+        for folder in folders:
+            with suppress(*_FAILURES):
+                for pid in (folder / "cgroup.procs").read_text().split():
+                    with suppress(ProcessLookupError):
+                        os.kill(int(pid), signal.SIGKILL)
+        for folder in folders:
+            with suppress(*_FAILURES):
+                (folder / state).write_text(thaw)
 
     def remove(self) -> None:
         """Kill what is left, and remove the group."""
-        self.kill()
+        with suppress(*_FAILURES):
+            self._group.kill_all_tasks()
         with suppress(*_FAILURES, AttributeError):
             self._group.remove()
 

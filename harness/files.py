@@ -12,25 +12,19 @@ class NotPlain(OSError):
     """What lies at a path is not a plain file."""
 
 
-def write_durable(path: Path, content: bytes, sync: bool = True) -> None:
-    """Write a file so that it is complete or absent, whatever happens and whenever.
-
-    sync: whether it is to be there even after the power fails; that takes milliseconds.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
+def write_durable(path: Path, content: bytes) -> None:
+    """Write a file so that it is complete or absent, whatever happens and whenever."""
     part = path.with_name(f".{path.name}.part")
     try:
         with part.open("wb") as file:
             file.write(content)
-            if sync:
-                file.flush()
-                os.fsync(file.fileno())
+            file.flush()
+            os.fsync(file.fileno())
         part.replace(path)
     except BaseException:
         part.unlink(missing_ok=True)
         raise
-    if sync:
-        sync_folder(path.parent)
+    sync_folder(path.parent)
 
 
 def sync_folder(folder: Path) -> None:

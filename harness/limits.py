@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
-
-from pydantic import Field
 
 from harness.bounds import NOTHING, SAMPLES, Bounds, Means
-from harness.records import CoreLimit, Data, Limit, Limits
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+from harness.records import Allowance, CoreLimit, Limit, Limits
 
 #: Printed output and the result file may each have this many MiB where nothing else is asked
 #: for: far more than is read of them, and less than fills a disk.
@@ -18,28 +13,20 @@ DEFAULT_OUTPUT_MIB = 1024.0
 MIB = 1 << 20
 
 
-class Allowance(Data):
-    """What a tool may use on one instance, beside wall time; null is the default.
-
-    cpu_s: CPU time of all processes together, default no limit; memory_mib: of all processes
-    together, default the machine's; output_mib: of what is printed, and of the result file,
-    default DEFAULT_OUTPUT_MIB; scratch_mib: of all files in the scratch folder, default the disk's.
-    contain: nothing outside the scratch folder may be written. fresh_home: HOME is an
-    empty folder in the scratch folder. cgroups: whether control groups are used where they
-    work.
-    """
-
-    cpu_s: Positive | None = None
-    memory_mib: Positive | None = None
-    output_mib: Positive | None = None
-    scratch_mib: Positive | None = None
-    contain: bool = False
-    fresh_home: bool = False
-    cgroups: bool = True
-
-
 #: What holds where nothing is asked for.
 DEFAULT = Allowance()
+
+
+#: The options that ask for limits.
+OPTIONS = {
+    "cpu_s": "--cpu-limit (s)",
+    "memory_mib": "--memory-limit (MiB)",
+    "output_mib": "--output-limit (MiB)",
+    "scratch_mib": "--scratch-limit (MiB)",
+    "contain": "--contain",
+    "fresh_home": "--fresh-home",
+    "cgroups": "use of control groups",
+}
 
 
 def bounds(

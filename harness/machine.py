@@ -9,6 +9,8 @@ from pathlib import Path
 
 import psutil
 
+from harness.records import Machine
+
 _JUDGES = ("closedlap", "numpy", "onnxruntime")
 
 
@@ -25,7 +27,7 @@ def versions() -> dict[str, str]:
     return {package: package_version(package) for package in _JUDGES}
 
 
-def describe_machine() -> dict[str, str | int | float | None]:
+def describe_machine() -> Machine:
     """Return what timings depend on; memory in MiB."""
     usable = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(_cores())
     return {

@@ -15,10 +15,11 @@ Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 #: One file name: no folder, nothing hidden.
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=200)]
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class Data(BaseModel):
-    """Base of all files that the harness writes: unknown fields are refused."""
+    """Base of all that the harness stores: unknown fields are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -136,6 +137,26 @@ class WitnessCheck(Data):
         return self.outcome.establishes_sat
 
 
+class Allowance(Data):
+    """What a tool may use on one instance, beside wall time; null is the default.
+
+    cpu_s: CPU time of all processes together, default no limit; memory_mib: of all processes
+    together, default the machine's; output_mib: of what is printed, and of the result file,
+    default 1 GiB; scratch_mib: of all files in the scratch folder, default the disk's.
+    contain: nothing outside the scratch folder may be written. fresh_home: HOME is an
+    empty folder in the scratch folder. cgroups: whether control groups are used where they
+    work.
+    """
+
+    cpu_s: Positive | None = None
+    memory_mib: Positive | None = None
+    output_mib: Positive | None = None
+    scratch_mib: Positive | None = None
+    contain: bool = False
+    fresh_home: bool = False
+    cgroups: bool = True
+
+
 class Limit(Data):
     """One limit: as asked (null: not asked for), as kept (null: none), and by what means."""
 
@@ -203,8 +224,9 @@ class Record(Data):
     verdict: Verdict
     detail: str | None = Field(default=None, description="why, where the code does not say it")
     limits: Limits
-    witness: Name | None = Field(default=None, description="file name below witnesses/")
-    log: Name = Field(description="file name below logs/")
+    witness: Name | None = Field(default=None, description="its name in the run's database")
+    log: Name = Field(description="its name in the run's database")
+    host: str | None = Field(default=None, description="name of the machine that it ran on")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -213,6 +235,10 @@ class Record(Data):
         if self.run_time > self.limits.wall_s and self.verdict in (Verdict.SAT, Verdict.UNSAT):
             raise ValueError(f"result is {self.result}, but run_time is above the limit")
         return self
+
+
+#: A description of a machine: what timings depend on, by name.
+Machine = dict[str, str | int | float | None]
 
 
 class ToolInfo(Data):
@@ -232,6 +258,10 @@ class RunInfo(Data):
     tool: ToolInfo
     benchmarks: str | None
     timeout_s: Seconds | None = Field(description="of every instance, where one was asked for")
+    limits: Allowance = Field(default=Allowance(), description="that were asked for beside it")
     created_at: str = Field(description="UTC, ISO 8601")
     harness_version: str
-    machine: dict[str, str | int | float | None]
+    machine: Machine = Field(description="where the harness ran")
+    workers: dict[str, Machine] = Field(
+        default={}, description="other machines that instances were run on, by their host names"
+    )

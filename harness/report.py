@@ -56,14 +56,27 @@ class ProgressBar:
             transient=True,
         )
         self._task = self._bar.add_task("", total=total, completed=completed)
+        self._running: dict[str, None] = {}
 
     def begin(self, instance: str) -> None:
-        """Show which instance runs now."""
-        self._bar.update(self._task, description=instance)
+        """Show that an instance runs now; may be called from any thread."""
+        self._running[instance] = None
+        self._describe()
 
-    def advance(self) -> None:
-        """Count one instance as done."""
+    def end(self, instance: str) -> None:
+        """Count an instance as done."""
         self._bar.advance(self._task)
+        if self._running.pop(instance, self) is None:
+            self._describe()
+
+    def note(self, text: str) -> None:
+        """Show what else there is to know, where no instance is shown."""
+        self._bar.update(self._task, description=text)
+
+    def _describe(self) -> None:
+        names = list(self._running)
+        more = f" and {len(names) - 2} more" if len(names) > 2 else ""
+        self._bar.update(self._task, description=", ".join(names[:2]) + more)
 
     def __enter__(self) -> Self:
         self._bar.start()

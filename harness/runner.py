@@ -7,6 +7,7 @@ folder, each under a wall-time limit on its whole process tree.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -46,6 +47,10 @@ _TIMEOUT_STATUS = 124
 _KILLED_STATUS = 137
 
 
+class Stopped(Exception):
+    """The runner was told to stop; what it was running has no result."""
+
+
 @dataclass(frozen=True)
 class Finished:
     """A result before it is stored: the record, what follows ``sat``, and the log."""
@@ -77,6 +82,7 @@ class Runner:
         self._cores, self._allowance = cores, limits
         self._hashes: dict[Path, str] = {}
         self._spare: Place | None = None
+        self._stopped, self._lock = False, threading.Lock()
         self._supervisor = Supervisor(keep, limits.cgroups)
 
     def install(self) -> tuple[str | None, bytes]:
@@ -177,9 +183,12 @@ class Runner:
     ) -> Outcome:
         place.restore()
         try:
-            return self._supervisor.run(command, place.work, environment, place.log, limits)
+            outcome = self._supervisor.run(command, place.work, environment, place.log, limits)
         except CannotStart as error:
             raise BadInput(f"tool {self.tool.name}: cannot be started ({error})") from None
+        if self._stopped:  # perhaps the tool ended for that
+            raise Stopped
+        return outcome
 
     @contextmanager
     def _place(self) -> Iterator[Place]:
@@ -198,7 +207,16 @@ class Runner:
 
     def _restart(self) -> None:
         self._supervisor.close()
-        self._supervisor = Supervisor(self._keep, self._allowance.cgroups)
+        with self._lock:
+            if self._stopped:
+                raise Stopped
+            self._supervisor = Supervisor(self._keep, self._allowance.cgroups)
+
+    def stop(self) -> None:
+        """End what runs, from another thread: ``run`` raises Stopped, now or when it is called."""
+        with self._lock:
+            self._stopped = True
+            self._supervisor.stop()
 
     def close(self) -> None:
         """End whatever runs, and remove all scratch folders."""

@@ -78,7 +78,7 @@ class Supervisor:
         try:
             self._process.stdin.write(json.dumps(request).encode() + b"\n")
             self._process.stdin.flush()
-        except BrokenPipeError:
+        except (BrokenPipeError, ValueError):  # ValueError: stop() closed it
             raise SupervisorLost from None
         answer = self._receive()
         if "error" in answer:
@@ -93,14 +93,18 @@ class Supervisor:
         answer: dict[str, Any] = json.loads(line)
         return answer
 
+    def stop(self) -> None:
+        """End what runs, from another thread; then only close() may be called."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.close()
+
     def close(self) -> None:
         """End what runs, remove the scratch folder, end the supervisor."""
-        assert self._process.stdin is not None
         assert self._process.stdout is not None
         if self._process.stdout.closed:
             return
-        with contextlib.suppress(BrokenPipeError):
-            self._process.stdin.close()
+        self.stop()
         try:
             self._process.wait(_CLOSE_S)
         except subprocess.TimeoutExpired:
@@ -110,7 +114,8 @@ class Supervisor:
         self._process.stdout.close()
         if self._process.returncode != 0:
             _end_marked(str(self.scratch))
-            scratch.remove(str(self.scratch))
+        # Always: after stop() something may have been put there again.
+        scratch.remove(str(self.scratch))
 
     def _wait_for_keeper(self) -> None:
         """Wait until no keeper can answer any more: it outlives its guard where that was killed."""

@@ -215,7 +215,8 @@ def test_every_deed_has_its_code(
     limits = ("--memory-limit", MEMORY, "--output-limit", OUTPUT, "--scratch-limit", SCRATCH)
     out = tmp_path / "run"
     arguments = ("--tool", make_tool(script(DEEDS)), "--benchmarks", benchmarks.root, "--out", out)
-    done = harness_process("run", *arguments, *limits, *option, "--json", cwd=tmp_path)
+    jobs = ("--jobs", min(2, len(os.sched_getaffinity(0))))
+    done = harness_process("run", *arguments, *limits, *jobs, *option, "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     results = {r["instance"]: r for r in map(json.loads, done.stdout.splitlines())}
     assert {name: r["result"] for name, r in results.items()} == {
@@ -240,7 +241,8 @@ def test_every_deed_has_its_code(
             assert limit.memory_mib.by == "samples"
             assert limit.kept_by == "subreaper"
     # The other results of the same run stand.
-    assert RunFolder(out).record("honest").verdict == "unsat"
+    with RunFolder.open(out) as run:
+        assert run.record("honest").verdict == "unsat"
     with (out / "results.csv").open() as file:
         assert len(list(csv.reader(file))) == len(DEEDS)
 
@@ -626,9 +628,15 @@ def test_sizes_have_units(benchmarks, make_tool, tmp_path, temporary):
     sizes = ("--memory-limit", "2GB", "--output-limit", "0.5GiB", "--scratch-limit", "64")
     arguments = ("--tool", tool, "--benchmarks", benchmarks.root, "--out", out)
     assert harness("run", *arguments, *sizes).returncode == 0
-    limits = RunFolder(out).record("one").limits
+    with RunFolder.open(out) as run:
+        limits = run.record("one").limits
     assert limits.memory_mib.kept == pytest.approx(2e9 / 2**20)
     assert (limits.output_mib.kept, limits.scratch_mib.kept) == (512, 64)
+    # A run is continued with the limits that it was begun with, or not at all.
+    assert harness("run", *arguments, *sizes, "--resume").returncode == 0
+    done = harness("run", *arguments, *sizes[:4], "--scratch-limit", "65", "--resume")
+    assert done.returncode == 2
+    assert "begun with another --scratch-limit (MiB) (64.0, now 65.0)" in done.stderr
 
 
 def test_a_wall_limit_is_kept_while_scratch_is_looked_at(make_runner):

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 from harness_helpers import carriers, harness, harness_process, wait_until
 
-from harness.records import Record
 from harness.store import RunFolder
 
 #: One answer, or misdeed, for every instance; the instance's ID says which.
@@ -108,21 +107,22 @@ def test_every_misdeed_has_its_code(benchmarks, make_tool, marker, tmp_path):
     assert carriers(marker) == []
     assert {p.name for p in tmp_path.iterdir()} == {*before, "run"}
 
+    folder = RunFolder.open(out)
     for name, result in results.items():
-        record = Record.model_validate_json((out / "records" / f"{name}.json").read_text())
+        record = folder.record(name)
         assert record.model_dump(mode="json") == {
             k: v for k, v in result.items() if k != "witness_check"
         }
-        assert (out / "logs" / record.log).is_file()
         if name in CHECKS:
             assert result["witness_check"]["outcome"] == CHECKS[name]
-            assert (out / "witnesses" / record.witness).is_file()
+            assert folder.check(name).outcome == CHECKS[name]
         else:
             assert result["witness_check"] is None
             assert record.witness is None
         if record.result == "run_instance_timeout":
             assert LIMIT < record.run_time < LIMIT + 0.5
-    assert (out / "logs" / "floods.log").stat().st_size < 1.1 * 2**20
+    assert 2**20 <= len(folder.log(folder.record("floods"))) < 1.1 * 2**20
+    assert {p.name for p in out.iterdir()} == {"run.sqlite", "lock", "results.csv"}
     assert "I am quite sure" in results["garbage"]["detail"]
 
     with (out / "results.csv").open() as file:
@@ -152,7 +152,7 @@ def test_what_a_tool_is_given(benchmarks, make_tool, tmp_path):
     )
     out = tmp_path / "run"
     harness("run", "--tool", tool, "--benchmarks", benchmarks.root, "--out", out, cwd=tmp_path)
-    prepare, run, *rest = (out / "logs" / "one.log").read_text().splitlines()
+    prepare, run, *rest = harness("log", out, "one").stdout.splitlines()
     common = ["v1", "quick", str(benchmarks.onnx), str(spec)]
     assert prepare.split("|")[:-1] == common
     *arguments, python, folder, temporary = run.split("|")[:-1]
@@ -205,7 +205,8 @@ def test_install_runs_once_and_must_succeed(benchmarks, make_tool, tmp_path):
     done = harness("run", "--tool", bad, "--benchmarks", benchmarks.root, "--out", out)
     assert done.returncode == 2
     assert "install_tool.sh ended with status 4" in done.stderr
-    assert (out / "logs" / "install_tool.failed.log").read_text() == "no compiler\n"
+    assert f"harness log {out} shows" in done.stderr
+    assert harness("log", out).stdout == "no compiler\n"
     assert RunFolder(out).records() == []
     assert harness("run", "--tool", bad, "--benchmarks", benchmarks.root, "--out", out, "--resume",
                    "--no-install").returncode == 0  # fmt: skip
@@ -267,24 +268,25 @@ class TestGoingOn:
         """Start a harness and wait until it has stored some records."""
         command = [sys.executable, "-m", "harness", *map(str, run)]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        out = run[-1]
-        wait_until(lambda: len(list((out / "records").glob("*.json"))) >= records, 30)
+        with RunFolder(run[-1]) as folder:
+            wait_until(lambda: len(folder.instances()) >= records, 30)
         return process
 
     def stored(self, run):
-        return {p.name: p.read_bytes() for p in (run[-1] / "records").iterdir()}
+        with RunFolder.open(run[-1]) as folder:
+            return {record.instance: record for record in folder.records()}
 
     def test_after_kill(self, run, marker, tmp_path):
         process = self.begin(run, records=2)
         time.sleep(random.uniform(0, 0.3))
         process.kill()
         process.communicate()
-        before = {name: x for name, x in self.stored(run).items() if not name.startswith(".")}
+        before = self.stored(run)
         assert 2 <= len(before) < self.COUNT
         done = harness(*run, "--resume", "--json")
         assert done.returncode == 0, done.stderr
         after = self.stored(run)
-        assert set(after) == {f"i{i}.json" for i in range(self.COUNT)}
+        assert set(after) == {f"i{i}" for i in range(self.COUNT)}
         assert before.items() <= after.items()
         assert sorted(r["instance"] for r in lines(done.stdout)) == [
             f"i{i}" for i in range(self.COUNT)
@@ -292,7 +294,7 @@ class TestGoingOn:
         starts = (tmp_path / "starts").read_text().split()
         # The instance that was running when the harness was killed began twice, no other.
         assert len(starts) <= self.COUNT + 1
-        assert not any(starts.count(name.removesuffix(".json")) > 1 for name in before)
+        assert not any(starts.count(name) > 1 for name in before)
         assert carriers(marker) == []
 
     @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

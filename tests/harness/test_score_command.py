@@ -1,6 +1,9 @@
 """``harness score`` over several runs: references, contradictions, evidence that was touched."""
 
+import contextlib
 import json
+import shutil
+import sqlite3
 
 import pytest
 from harness_helpers import harness
@@ -16,6 +19,12 @@ NEAR = '{"s": 0.30005, "f": 9.9, "v": 0, "theta": 0}'
 
 def says_sat(witness):
     return f"printf 'sat\\n%s\\n' '{witness}' > \"$RESULTS\""
+
+
+def edit(run, command, *values):
+    """Tamper with what a run has stored."""
+    with contextlib.closing(sqlite3.connect(run / "run.sqlite")) as database, database:
+        assert database.execute(command, values).rowcount == 1
 
 
 SAYS_UNSAT = 'echo unsat > "$RESULTS"'
@@ -132,19 +141,18 @@ def test_unequal_time_limits_are_noted(benchmarks, contest, tmp_path):
 
 def test_changed_witness_is_replayed_again(benchmarks, contest):
     run = contest("a", says_sat(NEAR))
-    (run / "witnesses" / "one.json").write_text(SAT.replace("0.28", "0.4"))
+    edit(run, "UPDATE witnesses SET content = ?", SAT.replace("0.28", "0.4").encode())
     _, rows = score(benchmarks, run)
     assert rows[0]["score"] == -150
-    (run / "checks" / "one.json").unlink()
-    (run / "witnesses" / "one.json").write_text(SAT)
+    edit(run, "DELETE FROM checks")
+    edit(run, "UPDATE witnesses SET content = ?", SAT.encode())
     _, rows = score(benchmarks, run)
     assert rows[0]["score"] == 10
 
 
 def test_stored_check_needs_no_instances_and_can_be_made_again(benchmarks, contest, tmp_path):
     run = contest("a", says_sat(SAT))
-    path = run / "checks" / "one.json"
-    path.write_text(path.read_text().replace('"correct"', '"wrong"'))
+    edit(run, """UPDATE checks SET json = replace(json, '"correct"', '"wrong"')""")
     _, rows = score(benchmarks, run)
     assert rows[0]["score"] == -150  # what is stored is believed, ...
     _, rows = score(benchmarks, run, "--recheck")
@@ -156,13 +164,11 @@ def test_bad_runs_are_one_line(benchmarks, contest, tmp_path):
     benchmarks.add("one", (0.26, 0.5))
     changed = contest("b", SAYS_UNSAT)
     broken = contest("c", SAYS_UNSAT)
-    record = broken / "records" / "one.json"
-    record.write_text(record.read_text().replace('"unsat"', '"sat"', 1))
+    edit(
+        broken, """UPDATE records SET json = replace(json, '"result":"unsat"', '"result":"sat"')"""
+    )
     copy = tmp_path / "copy"
-    copy.mkdir()
-    for name in ("run.json", "records/one.json"):
-        (copy / name).parent.mkdir(exist_ok=True)
-        (copy / name).write_bytes((a / name).read_bytes())
+    shutil.copytree(a, copy)
     for runs, message in (
         ([tmp_path / "none"], "not a run folder"),
         ([tmp_path], "not a run folder"),
