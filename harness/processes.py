@@ -70,16 +70,12 @@ def shared_out(processes: list[Process]) -> int:
     return total
 
 
-def unlinked_files(folder: str) -> int:
+def unlinked_files(device: int) -> int:
     """Return the bytes on disk of files without a name that processes below us hold open.
 
-    Counted are those on the file system of a folder. 0 where the system does not tell.
+    device: that of the file system whose files are counted. 0 where the system does not tell.
     """
     sizes: dict[int, int] = {}
-    try:
-        device = os.stat(folder).st_dev  # noqa: PTH116
-    except OSError:
-        return 0
     for process in descendants():
         try:
             opened = os.listdir(f"/proc/{process.pid}/fd")  # noqa: PTH208

@@ -58,7 +58,11 @@ class Supervisor:
             pass_fds=tuple(keep),
             start_new_session=True,  # so that Ctrl-C reaches the harness alone
         )
-        self._receive()
+        try:
+            self._receive()
+        except SupervisorLost:
+            self.close()
+            raise
 
     def run(
         self, command: Sequence[str], cwd: Path, env: Mapping[str, str], log: Path, bounds: Bounds

@@ -114,7 +114,9 @@ class Watch:
         folder = self._bounds.folder
         if folder is None:
             return 0.0
-        return scratch.disk_usage(folder, deadline) + processes.unlinked_files(folder)
+        # The log is a file beside the folder: some file systems give folders another number.
+        device = os.fstat(self._log).st_dev
+        return scratch.disk_usage(folder, deadline) + processes.unlinked_files(device)
 
     def _output(self) -> int:
         """Return the size of the larger of the printed output and the result file, bytes."""
