@@ -75,17 +75,10 @@ def _stay_apart() -> str:
     return LANDLOCK
 
 
-def _prepare() -> None:
-    """Set what all commands inherit, and take a name that ``killall python`` does not mean."""
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    with suppress(OSError):
-        Path("/proc/self/comm").write_text("closedlap-keep")
-
-
 def serve(folder: str, cgroups: bool) -> None:
     """Answer requests until standard input ends."""
     become_subreaper()
-    _prepare()
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # of all commands
     signals = _stay_apart()
     bell = Bell(stop=0)
     cells = Cells.open() if cgroups else None
@@ -143,6 +136,9 @@ def _has_children() -> bool:
 def main(folder: str, cgroups: bool) -> None:
     """Start the keeper, and be its guard."""
     become_subreaper()
+    # Scripts of VNN-COMP's tools say ``killall python``, and don't mean us.
+    with suppress(OSError):
+        Path("/proc/self/comm").write_text("closedlap-keep")
     keeper = os.fork()
     if keeper:
         os._exit(_guard(keeper, folder))

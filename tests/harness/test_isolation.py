@@ -59,6 +59,13 @@ def test_killing_its_supervisor(make_runner, tmp_path, monkeypatch):
     assert runner.run(entry).record.result == "unsat"
 
 
+def test_killing_all_programs_called_python(make_runner):
+    runner, _ = make_runner("")
+    guard = psutil.Process(runner._supervisor._process.pid)
+    (keeper,) = guard.children()
+    assert {guard.name(), keeper.name()} == {"closedlap-keep"}
+
+
 def test_killing_the_harness(make_runner):
     if not landlock.can_forbid_signals(no_new_privileges=False):
         pytest.skip("Landlock 6 (Linux 6.12) and root are needed")
