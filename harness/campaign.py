@@ -15,9 +15,10 @@ from harness.cores import share_out, usable_cores
 from harness.export import results_csv
 from harness.files import write_durable
 from harness.job import Result, Setting
+from harness.limits import DEFAULT, OPTIONS
 from harness.local import LocalJobs
 from harness.machine import describe_machine, package_version
-from harness.records import Machine, Record, RunInfo, WitnessCheck
+from harness.records import Allowance, Machine, Record, RunInfo, WitnessCheck
 from harness.store import RunFolder
 from harness.tool import Tool
 from racecar.errors import BadInput
@@ -36,7 +37,7 @@ class Plan:
     root: the benchmarks folder, where there is one; timeout: of every instance, in seconds,
     instead of its own; jobs: how many run at a time; cores_per_job: how many cores each is
     pinned to, default as many as there are for each; scheduler: the address of the Dask
-    scheduler on whose workers they run, instead of here.
+    scheduler on whose workers they run, instead of here; limits: those asked for beside wall time.
     """
 
     tool: Tool
@@ -49,6 +50,7 @@ class Plan:
     jobs: int = 1
     cores_per_job: int | None = None
     scheduler: str | None = None
+    limits: Allowance = DEFAULT
 
 
 class Jobs(Protocol):
@@ -125,7 +127,7 @@ def _to_do(plan: Plan, folder: RunFolder) -> list[Entry]:
 def _make_jobs(
     plan: Plan, places: Sequence[Sequence[int] | None], lock: int, on_note: OnNote
 ) -> AbstractContextManager[Jobs]:
-    setting = Setting(plan.tool, plan.root)
+    setting = Setting(plan.tool, plan.root, plan.limits)
     if plan.scheduler is None:
         # The lock goes to the runners' helpers too: it ends when no process of a tool is left.
         return LocalJobs(setting, places, keep=(lock,))
@@ -178,6 +180,7 @@ def _describe(plan: Plan) -> RunInfo:
         tool=plan.tool.info(),
         benchmarks=str(plan.root) if plan.root else None,
         timeout_s=plan.timeout,
+        limits=plan.limits,
         created_at=datetime.now(UTC).isoformat(timespec="seconds"),
         harness_version=package_version("closedlap"),
         machine=describe_machine(),
@@ -192,6 +195,10 @@ def _check_same(plan: Plan, before: RunInfo) -> None:
         ("tool version", before.tool.version, now.version),
         ("tool (its scripts changed)", before.tool.scripts_sha256, now.scripts_sha256),
         ("--timeout", before.timeout_s, plan.timeout),
+        *(
+            (option, getattr(before.limits, name), getattr(plan.limits, name))
+            for name, option in OPTIONS.items()
+        ),
     ):
         if old != new:
             raise BadInput(

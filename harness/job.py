@@ -11,7 +11,8 @@ from pathlib import Path
 
 from harness.catalogue import Entry
 from harness.checks import check_entry
-from harness.records import Machine, Record, Verdict, WitnessCheck
+from harness.limits import DEFAULT
+from harness.records import Allowance, Machine, Record, Verdict, WitnessCheck
 from harness.runner import Runner
 from harness.tool import Tool
 from racecar.errors import BadInput
@@ -22,14 +23,18 @@ LEAST_ROOM = 1 << 20
 
 @dataclass(frozen=True)
 class Setting:
-    """What all instances of a run share: the tool, and the benchmarks folder if there is one."""
+    """What all instances of a run share.
+
+    root: the benchmarks folder, if there is one; limits: those asked for beside wall time.
+    """
 
     tool: Tool
     root: Path | None
+    limits: Allowance = DEFAULT
 
     def runner(self, keep: Sequence[int] = (), cores: Sequence[int] | None = None) -> Runner:
         """Return a new runner."""
-        return Runner(self.tool, self.root, keep, cores=cores)
+        return Runner(self.tool, self.root, keep, cores=cores, limits=self.limits)
 
 
 @dataclass(frozen=True)

@@ -1,60 +1,58 @@
-"""Run one command with a wall-time limit on everything that it starts.
+"""Run one command within bounds that hold for everything that it starts.
 
 On Linux this process becomes a *subreaper*: a descendant whose parent ends, even one that
 called setsid or forked twice, becomes our child instead of init's. So as long as we have no
 child, no descendant is alive, and as long as one is, we find it below us. Elsewhere
-only the command's own process group can be ended.
-
-The module runs as a small process of its own (``python process_tree.py SCRATCH``), one
-request a line on standard input, one answer a line on standard output. It needs the standard
-library and psutil only: it is forked for every command, and its size is the floor of
-the memory that is measured. When its standard input ends, because the harness closed
-it or was killed, it ends the command's whole tree, removes SCRATCH and ends.
+only the command's own process group can be ended. Where control groups work, the
+command has one of its own beside.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
-import json
 import os
+import resource
 import select
-import shutil
 import signal
+import stat
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
-#: A command is told to end (SIGTERM) this long, in seconds, after its limit, ...
+from harness import landlock, processes, scratch
+from harness.bounds import (
+    AFFINITY,
+    CGROUP,
+    CPU,
+    CPUSET,
+    GROUP,
+    LANDLOCK,
+    NOTHING,
+    SAMPLES,
+    SUBREAPER,
+    WALL,
+    Bounds,
+    Means,
+    Outcome,
+)
+from harness.cgroups import Cell, Cells
+from harness.watch import Watch
+
+#: A command is told to end (SIGTERM) this long, in seconds, after its limit of wall time, ...
 GRACE_S = 0.1
 #: ... and whatever is then still alive is killed (SIGKILL) this much later, ...
 POLITE_S = 0.15
 #: ... again and again until nothing is left, for at most this long.
 GIVE_UP_S = 20.0
+#: Its control group is frozen and killed where killing has taken this long.
+_FREEZE_AFTER_S = 0.1
 
 _PR_SET_CHILD_SUBREAPER = 36
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a command ended.
-
-    exit_code: 128 + the signal's number if a signal ended it; timed_out: whether it was ended
-    at its limit; wall_s: from before its start to its end; cpu_s: user and system time of it
-    and of all descendants that were waited for; max_rss_kib: memory of the largest
-    single process among them; survivors: processes that could not be killed.
-    """
-
-    exit_code: int
-    timed_out: bool
-    wall_s: float
-    cpu_s: float
-    max_rss_kib: int
-    survivors: int
+#: The kernel, out of memory, kills processes with this score first.
+_FIRST_TO_GO = b"1000"
 
 
 def become_subreaper() -> bool:
@@ -100,23 +98,43 @@ class Bell:
                 pass
 
 
-class _Tree:
-    """One command and all of its descendants."""
+class Tree:
+    """One command and all of its descendants.
 
-    def __init__(self, command: list[str], cwd: str, env: dict[str, str], log: str) -> None:
+    setup: called in the new process before it becomes the command. OSError if it can't start.
+    """
+
+    def __init__(
+        self,
+        command: list[str],
+        cwd: str,
+        env: dict[str, str],
+        log: int,
+        setup: Callable[[], None] | None,
+    ) -> None:
         self.exit_code: int | None = None
-        self.cpu_s, self.max_rss_kib = 0.0, 0
+        self.cpu_s, self.max_rss = 0.0, 0
         # Output goes to a file: nobody waits for a pipe that a grandchild keeps open.
-        with Path(log).open("ab") as output:
-            self._main = subprocess.Popen(
-                command,
-                cwd=cwd,
-                env=env,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=output,
-                start_new_session=True,
-            )
+        self._main = subprocess.Popen(
+            command,
+            cwd=cwd,
+            env=env,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            start_new_session=True,
+            preexec_fn=setup,  # noqa: PLW1509 (this process has one thread)
+        )
+
+    def prepare(self, bounds: Bounds) -> None:
+        """Set what a process that has just been started hands on to its children."""
+        pid = self._main.pid
+        with contextlib.suppress(OSError):
+            Path(f"/proc/{pid}/oom_score_adj").write_bytes(_FIRST_TO_GO)
+        if bounds.cpu_s is not None and hasattr(resource, "prlimit"):
+            most = int(bounds.cpu_s) + 2
+            with contextlib.suppress(OSError, ValueError):
+                resource.prlimit(pid, resource.RLIMIT_CPU, (most, most))
 
     def reap(self) -> bool:
         """Collect every ended child; return whether a child is left."""
@@ -128,29 +146,34 @@ class _Tree:
             if pid == 0:
                 return True
             self.cpu_s += usage.ru_utime + usage.ru_stime
-            unit = 1024 if sys.platform == "darwin" else 1
-            self.max_rss_kib = max(self.max_rss_kib, usage.ru_maxrss // unit)
+            unit = 1 if sys.platform == "darwin" else 1024
+            self.max_rss = max(self.max_rss, usage.ru_maxrss * unit)
             if pid == self._main.pid:
                 code = os.waitstatus_to_exitcode(status)
                 self.exit_code = self._main.returncode = code if code >= 0 else 128 - code
 
-    def end(self, bell: Bell) -> int:
-        """End whatever is left of the tree; return how many processes could not be killed."""
-        if self._gone():
+    def end(self, bell: Bell, polite_s: float, cell: Cell | None) -> int:
+        """End whatever is left of the tree; return how many processes could not be killed.
+
+        polite_s: time between being told to end and being killed; 0: killed at once.
+        """
+        if not self.reap():
             return 0
-        self._signal(signal.SIGTERM)
         now = time.monotonic()
-        polite, give_up = now + POLITE_S, now + GIVE_UP_S
-        while not self._gone() and (now := time.monotonic()) < give_up:
+        polite, give_up = now + polite_s, now + GIVE_UP_S
+        freeze = polite + _FREEZE_AFTER_S
+        if polite_s:
+            self._signal(signal.SIGTERM)
+        while self.reap() and (now := time.monotonic()) < give_up:
             if now < polite:
                 bell.wait(polite - now)
-            else:
-                self._signal(signal.SIGKILL)
-                bell.wait(0.005)
-        return 0 if self._gone() else len(list(_descendants()))
-
-    def _gone(self) -> bool:
-        return not self.reap()
+                continue
+            self._signal(signal.SIGKILL)
+            if cell is not None and now > freeze:
+                cell.kill()
+                freeze = time.monotonic() + 1.0
+            bell.wait(0.005)
+        return len([p for p in processes.descendants() if not p.zombie]) if self.reap() else 0
 
     def _signal(self, number: int) -> None:
         """Send a signal to every descendant, whole process groups at once.
@@ -158,86 +181,158 @@ class _Tree:
         The kernel delivers to a group and forks under one lock, so that a process that
         forks in a loop cannot slip out of a group that is being killed.
         """
-        import psutil  # noqa: PLC0415 (most trees leave nothing behind)
-
-        own = os.getpgrp()
-        groups = {self._main.pid}
-        processes = list(_descendants())
-        for process in processes:
-            with contextlib.suppress(OSError):
-                groups.add(os.getpgid(process.pid))
-        for group in groups - {own}:
+        below = processes.descendants()
+        groups = {self._main.pid, *(process.group for process in below)}
+        for group in groups - {os.getpgrp()}:
             with contextlib.suppress(OSError):
                 os.killpg(group, number)
-        for process in processes:
-            with contextlib.suppress(psutil.Error, OSError):
-                process.send_signal(number)
-
-
-def _descendants() -> Iterator[Any]:
-    import psutil  # noqa: PLC0415
-
-    for process in psutil.Process().children(recursive=True):
-        with contextlib.suppress(psutil.Error):
-            if process.status() != psutil.STATUS_ZOMBIE:
-                yield process
+        for process in below:
+            with contextlib.suppress(OSError):
+                os.kill(process.pid, number)
 
 
 def run_limited(
-    command: list[str], cwd: str, env: dict[str, str], log: str, limit_s: float, bell: Bell
+    command: list[str],
+    cwd: str,
+    env: dict[str, str],
+    log: str,
+    bounds: Bounds,
+    bell: Bell,
+    cells: Cells | None,
+    signals: str = NOTHING,
 ) -> Outcome:
     """Run a command; return when it and everything that it started has ended.
 
-    log: the file that its output is appended to. Raises OSError if it cannot be started.
+    log: the file that its output is appended to; cells: where control groups are to be made;
+    signals: what already keeps it from signalling others. Raises OSError if it cannot be started.
     """
-    start = time.monotonic()
-    tree = _Tree(command, cwd, env, log)
-    deadline = start + limit_s + GRACE_S
-    while tree.exit_code is None and not bell.stopped and time.monotonic() < deadline:
-        bell.wait(deadline - time.monotonic())
+    cell = None
+    if cells is not None:
+        with contextlib.suppress(OSError):
+            cell = cells.cell(bounds.memory, bounds.cores)
+    rules = _rules(bounds)
+    output = _open_log(log)
+    try:
+        start = time.monotonic()
+        pinned = cell is not None and cells is not None and cells.can_pin
+        watch = Watch(bounds, output, cell)
+        with _pinned(None if pinned else bounds.cores):
+            tree = Tree(command, cwd, env, output, _setup(cell, rules))
+        tree.prepare(bounds)
+        means = _means(bounds, cell, pinned, rules, signals)
+        return _wait(tree, start, bounds, bell, cell, watch, means)
+    finally:
+        os.close(output)
+        if rules is not None:
+            rules.close()
+        if cell is not None:
+            cell.remove()
+
+
+def _open_log(path: str) -> int:
+    """Open a log to append to; the command before may have put anything in its place."""
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+    with contextlib.suppress(OSError):
+        fd = os.open(path, flags, 0o600)
+        if stat.S_ISREG(os.fstat(fd).st_mode):
+            return fd
+        os.close(fd)
+    scratch.remove(path)
+    return os.open(path, flags | os.O_EXCL, 0o600)
+
+
+def _wait(
+    tree: Tree,
+    start: float,
+    bounds: Bounds,
+    bell: Bell,
+    cell: Cell | None,
+    watch: Watch,
+    means: Means,
+) -> Outcome:
+    exceeded = None
+    deadline = start + bounds.wall_s + GRACE_S
+    while tree.exit_code is None and exceeded is None and not bell.stopped:
+        now = time.monotonic()
+        if now >= deadline:
+            exceeded = WALL
+        elif now >= watch.next:
+            exceeded = watch.look(tree.cpu_s, deadline)
+        else:
+            bell.wait(min(deadline, watch.next) - now)
         tree.reap()
     wall = time.monotonic() - start
-    timed_out = tree.exit_code is None
-    survivors = tree.end(bell)
-    if timed_out:
+    ended = tree.exit_code is None
+    in_time = exceeded in (None, WALL, CPU)
+    survivors = tree.end(bell, POLITE_S if in_time else 0.0, cell)
+    if ended:
         wall = time.monotonic() - start
-    code = 128 + signal.SIGKILL if tree.exit_code is None else tree.exit_code
-    return Outcome(code, timed_out, wall, tree.cpu_s, tree.max_rss_kib, survivors)
+    last = watch.last_look(tree.cpu_s, tree.max_rss)
+    return Outcome(
+        exit_code=128 + signal.SIGKILL if tree.exit_code is None else tree.exit_code,
+        exceeded=exceeded or last,
+        wall_s=wall,
+        cpu_s=watch.cpu_s,
+        max_memory=watch.memory,
+        survivors=survivors,
+        means=means,
+    )
 
 
-def _read_line() -> bytes | None:
-    """Read a request; None when there are no more."""
-    line = b""
-    while not line.endswith(b"\n"):
-        part = os.read(0, 1 << 16)
-        if not part:
-            return None
-        line += part
-    return line
-
-
-def _answer(data: dict[str, Any]) -> None:
-    os.write(1, json.dumps(data).encode() + b"\n")
-
-
-def serve(scratch: str) -> None:
-    """Answer requests until standard input ends."""
-    kept_by = "subreaper" if become_subreaper() else "process group"
-    bell = Bell(stop=0)
+def _rules(bounds: Bounds) -> landlock.Rules | None:
+    """Return what keeps the command in its scratch folder, where that is asked for and can be."""
+    if not bounds.contain or bounds.folder is None or not landlock.can_forbid_writes():
+        return None
     try:
-        _answer({"kept_by": kept_by})
-        while (line := _read_line()) is not None:
-            try:
-                _answer(asdict(run_limited(**json.loads(line), bell=bell)))
-            except OSError as error:
-                _answer({"error": f"{error.filename or 'the command'}: {error.strerror}"})
-            if bell.stopped:
-                break
-    except BrokenPipeError:
-        pass
+        return landlock.Rules(bounds.folder, landlock.can_forbid_signals(no_new_privileges=True))
+    except OSError:
+        return None
+
+
+def _setup(cell: Cell | None, rules: landlock.Rules | None) -> Callable[[], None] | None:
+    """Return what a new process must do itself before it becomes the command.
+
+    None, where there is nothing: then the process is made without copying this one.
+    """
+    if cell is None and rules is None:
+        return None
+
+    def setup() -> None:
+        if cell is not None:
+            cell.enter()
+        if rules is not None:
+            rules.enforce()
+
+    return setup
+
+
+@contextlib.contextmanager
+def _pinned(cores: tuple[int, ...] | None) -> Iterator[None]:
+    """Run on these cores meanwhile; what is started then stays there."""
+    if not cores or not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, cores)
+    try:
+        yield
     finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+        os.sched_setaffinity(0, before)
 
 
-if __name__ == "__main__":
-    serve(sys.argv[1])
+def _means(
+    bounds: Bounds, cell: Cell | None, pinned: bool, rules: landlock.Rules | None, signals: str
+) -> Means:
+    cores = NOTHING
+    if bounds.cores:
+        can = hasattr(os, "sched_setaffinity")
+        cores = CPUSET if pinned else AFFINITY if can else NOTHING
+    found = SUBREAPER if sys.platform.startswith("linux") else GROUP
+    return Means(
+        processes=found if cell is None else f"{CGROUP}, {found}",
+        cpu=SAMPLES if cell is None else CGROUP,
+        memory=SAMPLES if cell is None else CGROUP,
+        cores=cores,
+        writes=NOTHING if rules is None else LANDLOCK,
+        signals=LANDLOCK if rules is not None and rules.signals else signals,
+    )

@@ -15,6 +15,7 @@ Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 #: One file name: no folder, nothing hidden.
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=200)]
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class Data(BaseModel):
@@ -141,16 +142,67 @@ class WitnessCheck(Data):
         return self.outcome.establishes_sat
 
 
+class Allowance(Data):
+    """What a tool may use on one instance, beside wall time; null is the default.
+
+    cpu_s: CPU time of all processes together, default no limit; memory_mib: of all processes
+    together, default the machine's; output_mib: of what is printed, and of the result file,
+    default 1 GiB; scratch_mib: of all files in the scratch folder, default the disk's.
+    contain: nothing outside the scratch folder may be written. fresh_home: HOME is an
+    empty folder in the scratch folder. cgroups: whether control groups are used where they
+    work.
+    """
+
+    cpu_s: Positive | None = None
+    memory_mib: Positive | None = None
+    output_mib: Positive | None = None
+    scratch_mib: Positive | None = None
+    contain: bool = False
+    fresh_home: bool = False
+    cgroups: bool = True
+
+
+class Limit(Data):
+    """One limit: as asked (null: not asked for), as kept (null: none), and by what means."""
+
+    asked: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    kept: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    by: str = "nothing"
+
+
+class CoreLimit(Data):
+    """The cores that a tool was pinned to; null: all that the harness may use."""
+
+    asked: list[int] | None = None
+    kept: list[int] | None = None
+    by: str = "nothing"
+
+
 class Limits(Data):
-    """Which limits were asked for, which were kept, and by what means."""
+    """Which limits were asked for, which were kept, and by what means (docs/limits.md)."""
 
     wall_s: Seconds = Field(description="asked: the instance's timeout, given to the tool")
     wall_end_s: Seconds = Field(description="kept: the tool is told to end then")
     wall_kill_s: Seconds = Field(description="kept: whatever is alive then is killed")
     prepare_wall_s: Seconds
-    cpu_s: Seconds | None = Field(default=None, description="null: not limited")
-    memory_mib: Seconds | None = Field(default=None, description="null: not limited")
+    cpu_s: Limit = Field(default=Limit(), description="of run_instance.sh and all it started, s")
+    memory_mib: Limit = Field(default=Limit(), description="of all processes together, MiB")
+    output_mib: Limit = Field(
+        default=Limit(), description="of what is printed, and of the result file, each, MiB"
+    )
+    scratch_mib: Limit = Field(default=Limit(), description="of the scratch folder's files, MiB")
+    cores: CoreLimit = Field(default=CoreLimit(), description="numbers of the cores")
+    writes_by: str = Field(default="nothing", description="what forbids writing outside scratch")
+    signals_by: str = Field(default="nothing", description="what forbids signals to others")
+    home: Literal["fresh", "own"] = "own"
     kept_by: str = Field(description="means by which descendants are found")
+
+
+class Measured(Data):
+    """By what means a record's CPU time and memory were measured (docs/limits.md)."""
+
+    cpu_time: str
+    max_memory: str
 
 
 class Record(Data):
@@ -171,7 +223,8 @@ class Record(Data):
     prepare_time: Seconds = Field(description="wall, s")
     run_time: Seconds = Field(description="wall, s")
     cpu_time: Seconds = Field(description="of run_instance.sh and all it started, s")
-    max_memory_mib: float = Field(description="of the largest single process, MiB")
+    max_memory_mib: float = Field(description="the largest of run_instance.sh's tree, MiB")
+    measured_by: Measured | None = None
     result: str
     verdict: Verdict
     detail: str | None = Field(default=None, description="why, where the code does not say it")
@@ -210,6 +263,7 @@ class RunInfo(Data):
     tool: ToolInfo
     benchmarks: str | None
     timeout_s: Seconds | None = Field(description="of every instance, where one was asked for")
+    limits: Allowance = Field(default=Allowance(), description="that were asked for beside it")
     created_at: str = Field(description="UTC, ISO 8601")
     harness_version: str
     machine: Machine = Field(description="where the harness ran")

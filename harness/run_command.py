@@ -12,13 +12,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from harness.command_options import as_path, benchmarks_option, json_option
+from harness.limit_options import limit_options
 from racecar.command_line import print_json
 from racecar.errors import BadInput
+
+if TYPE_CHECKING:
+    from harness.records import Allowance
 
 
 @click.command("run")
@@ -51,6 +55,7 @@ from racecar.errors import BadInput
     metavar="ADDRESS",
     help="Run on the workers of this Dask scheduler, as tcp://HOST:8786 (docs/clusters.md).",
 )
+@limit_options
 @click.option("--no-install", is_flag=True, help="Don't run the tool's install_tool.sh.")
 @benchmarks_option
 @json_option
@@ -65,6 +70,7 @@ def run_command(
     jobs: int | None,
     cores_per_job: int | None,
     scheduler: str | None,
+    limits: Allowance,
     no_install: bool,
     benchmarks: Path | None,
     as_json: bool,
@@ -104,6 +110,7 @@ def run_command(
         jobs=jobs or 1,
         cores_per_job=cores_per_job,
         scheduler=scheduler,
+        limits=limits,
     )
     with RunFolder(out) as run:
         stored = len(run.instances() & {entry.id for entry in entries})

@@ -1,6 +1,6 @@
-"""The harness's side of process_tree: a process that runs commands and outlives nobody.
+"""The harness's side of the keeper: a process that runs commands and outlives nobody.
 
-If the harness is killed, at any instant and by any signal, the supervisor sees its standard
+If the harness is killed, at any instant and by any signal, the keeper sees its standard
 input end, ends the running tool's whole tree and removes the scratch folder.
 """
 
@@ -9,22 +9,23 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
+import select
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import psutil
 
-from harness import process_tree
-from harness.process_tree import Outcome
+from harness import process_tree, scratch
+from harness.bounds import Bounds, Means, Outcome
 
-#: The supervisor may take this long (seconds) to end a tree and itself.
+#: The keeper may take this long (seconds) to end a tree and itself.
 _CLOSE_S = process_tree.GIVE_UP_S + 5
 
 #: This variable in the environment marks all processes of a tool, in case of need.
@@ -40,40 +41,42 @@ class CannotStart(Exception):
 
 
 class Supervisor:
-    """Runs one command at a time under a limit, each below a scratch folder of its own.
+    """Runs one command at a time within bounds, each below a scratch folder of its own.
 
-    keep: file descriptors that stay open as long as the supervisor lives (a lock, so that
-    nobody else starts while it is still ending processes); cores: those that it and all it
-    starts are pinned to. ``kept_by`` says by what means limits are kept: "subreaper" or
-    "process group".
+    keep: file descriptors that stay open as long as the keeper lives (a lock, so that
+    nobody else starts while it is still ending processes). cgroups: whether to use control
+    groups where they work.
     """
 
-    def __init__(self, keep: Sequence[int] = (), cores: Sequence[int] | None = None) -> None:
+    def __init__(self, keep: Sequence[int] = (), cgroups: bool = True) -> None:
         self.scratch = Path(tempfile.mkdtemp(prefix="harness-"))
+        program = [sys.executable, "-P", str(Path(__file__).with_name("keeper.py"))]
         self._process = subprocess.Popen(
-            [sys.executable, "-P", process_tree.__file__, str(self.scratch)],
+            [*program, str(self.scratch), *([] if cgroups else ["--no-cgroups"])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=tuple(keep),
             start_new_session=True,  # so that Ctrl-C reaches the harness alone
         )
-        if cores is not None and hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(self._process.pid, cores)
-        self.kept_by: str = self._receive()["kept_by"]
+        try:
+            self._receive()
+        except SupervisorLost:
+            self.close()
+            raise
 
     def run(
-        self, command: Sequence[str], cwd: Path, env: Mapping[str, str], log: Path, limit_s: float
+        self, command: Sequence[str], cwd: Path, env: Mapping[str, str], log: Path, bounds: Bounds
     ) -> Outcome:
         """Run a command and return how it ended, after all that it started has ended.
 
-        Raises CannotStart, or SupervisorLost.
+        log: the file that its output is appended to. Raises CannotStart, or SupervisorLost.
         """
         request = {
             "command": list(command),
             "cwd": str(cwd),
             "env": {**env, _MARK: str(self.scratch)},
             "log": str(log),
-            "limit_s": limit_s,
+            "bounds": asdict(bounds),
         }
         assert self._process.stdin is not None
         try:
@@ -84,7 +87,7 @@ class Supervisor:
         answer = self._receive()
         if "error" in answer:
             raise CannotStart(answer["error"])
-        return Outcome(**answer)
+        return Outcome(**{**answer, "means": Means(**answer["means"])})
 
     def _receive(self) -> dict[str, Any]:
         assert self._process.stdout is not None
@@ -103,17 +106,29 @@ class Supervisor:
     def close(self) -> None:
         """End what runs, remove the scratch folder, end the supervisor."""
         assert self._process.stdout is not None
+        if self._process.stdout.closed:
+            return
         self.stop()
         try:
             self._process.wait(_CLOSE_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        self._wait_for_keeper()
         self._process.stdout.close()
         if self._process.returncode != 0:
             _end_marked(str(self.scratch))
-        # Again: after stop() something may have been put there.
-        shutil.rmtree(self.scratch, ignore_errors=True)
+        # Always: after stop() something may have been put there again.
+        scratch.remove(str(self.scratch))
+
+    def _wait_for_keeper(self) -> None:
+        """Wait until no keeper can answer any more: it outlives its guard where that was killed."""
+        assert self._process.stdout is not None
+        answers = self._process.stdout.fileno()
+        give_up = time.monotonic() + _CLOSE_S
+        while select.select([answers], [], [], max(0.0, give_up - time.monotonic()))[0]:
+            if not os.read(answers, 1 << 16):
+                return
 
     def __enter__(self) -> Self:
         return self

@@ -274,6 +274,8 @@ def runtime_session(path: Path) -> InferenceSession:
 
 def open_session(content: bytes, where: str) -> InferenceSession:
     """Open any ONNX file's content in onnxruntime on one CPU core; BadInput if it is refused."""
+    # Version 1.32 reports to its makers and leaves a file in /tmp, unless told before its import.
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime  # noqa: PLC0415 (slow to import, and not always needed)
 
     options = onnxruntime.SessionOptions()

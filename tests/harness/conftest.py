@@ -6,6 +6,10 @@ import uuid
 import pytest
 from harness_helpers import Benchmarks, carriers
 
+from harness.catalogue import select
+from harness.runner import Runner
+from harness.tool import find_tool
+
 
 @pytest.fixture
 def benchmarks(tmp_path):
@@ -41,3 +45,30 @@ def make_tool(tmp_path):
         return folder
 
     return make
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """The folder in which scratch folders are made; in the end it must be empty."""
+    folder = tmp_path / "t"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr("tempfile.tempdir", str(folder))
+    yield folder
+    assert list(folder.iterdir()) == []
+
+
+@pytest.fixture
+def make_runner(benchmarks, make_tool, temporary, marker):
+    """Return a function that makes a Runner and an entry for one script."""
+    runners = []
+
+    def make(run, timeout=30.0, prepare="", **options):
+        benchmarks.add("one", (0.25, 0.5), timeout=timeout)
+        tool = find_tool(str(make_tool(run, prepare)))
+        runners.append(Runner(tool, benchmarks.root, **options))
+        return runners[-1], select(benchmarks.root, (), ("one",))[0]
+
+    yield make
+    for runner in runners:
+        runner.close()

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import psutil
+import pytest
 from click.testing import CliRunner
 
 from harness.cli import main
@@ -34,6 +35,12 @@ from racecar.track import square_track
 #: Straight ahead for 2 s from the middle of the hall: nothing is near. For 7 s: into the wall.
 SHORT, LONG = 20, 70
 POINT = (0.0, 0.0)
+
+
+#: Codes of a tool that takes too long, and of one that takes too much.
+TIMEOUT, KILLED = "run_instance_timeout", "error_exit_code_137"
+#: With control groups, where they work, and without.
+BOTH = pytest.mark.parametrize("cgroups", [True, False], ids=["cgroups", "fallback"])
 
 
 def straight_controller(bias=0.0):
