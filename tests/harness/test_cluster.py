@@ -159,14 +159,16 @@ def test_the_harness_may_be_lost(cluster, benchmarks, make_tool, run, begin, tmp
     arguments = run(cluster, tool)
     for number, status in ((signal.SIGKILL, -signal.SIGKILL), (signal.SIGINT, 130)):
         process = begin(arguments)
-        wait_until(lambda: naps("4321") == 2, SOON_S)
+        wait_until(lambda: naps("4321") == 2 and "i0" in records(tmp_path), SOON_S)
         process.send_signal(number)
         _, errors = process.communicate(timeout=SOON_S)
         assert process.returncode == status
         wait_until(lambda: naps("4321") == 0, SOON_S)  # the tools are ended on the workers
         assert set(records(tmp_path)) == {"i0"}
         arguments = run(cluster, tool, "--resume")
-    assert errors.splitlines()[-2].startswith("to go on: harness run")
+    first, *_, last = errors.splitlines()
+    assert first.startswith("to go on: harness run")
+    assert last == "interrupted"
     fast.touch()
     assert harness(*arguments).returncode == 0
     assert len(records(tmp_path)) == 3
