@@ -1,11 +1,14 @@
 """Kill runs at random instants, again and again, and count what they hold in the end.
 
-    python -m bench.kills [--dask] [--kills N] [--instances N] [--jobs N] [--seed N] [--json]
+    python -m bench.kills [--dask] [--kills N] [--instances N] [--jobs N] [--every N] [--seed N]
 
 A fake tool answers at once. ``harness run --resume`` is killed (SIGKILL) at a random instant
 and started again, until the run is complete; then another run begins, until there were so many
-kills. With --dask the instances run on two workers of a scheduler of its own, and the victim is
-the harness, a worker or, more rarely, the scheduler; what was killed is started again.
+kills. One in five comes within two seconds after the last, whatever is done by then; the others
+after up to 2 N new results (--every N), and a moment.
+
+With --dask the instances run on two workers of a scheduler of its own, and the victim is the
+harness, a worker or, more rarely, the scheduler; what was killed is started again.
 
 After every kill: what had been stored is there, unchanged. After every run: each instance has
 exactly one record, with the answer, log, witness and check that belong to it, and no instance
@@ -36,8 +39,10 @@ from harness.store import RunFolder
 QUICK = Path(__file__).resolve().parents[1] / "benchmarks" / "quick" / "json"
 #: Every so many instances the tool says sat, with a witness, so that there is a check to store.
 SAT_EVERY = 50
-#: How long (seconds) a victim lives at most, and how long a run may take without a kill.
-LIFE_S, DASK_LIFE_S, PATIENCE_S = 2.0, 6.0, 600.0
+#: How long (seconds) a victim may take to get on.
+PATIENCE_S = 600.0
+#: A kill soon after the start comes within this time (s), one later this much after a result.
+SOON_S, MOMENT_S = 2.0, 0.1
 RUN = """
 ID=$(basename "$4" .json)
 echo "$ID" >> {starts}
@@ -131,7 +136,9 @@ class Nothing:
     """No victims beside the harness."""
 
     options: tuple[str, ...] = ()
-    life_s = LIFE_S
+
+    def restart(self) -> None:
+        pass
 
     def kill_one(self, rng: random.Random) -> str | None:
         return None
@@ -140,14 +147,15 @@ class Nothing:
 class Cluster:
     """A Dask scheduler and two workers, each a process."""
 
-    life_s = DASK_LIFE_S
-
     def __init__(self, folder: Path) -> None:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self._port = probe.getsockname()[1]
         self._folder = folder
-        self.scheduler = self._start_scheduler()
+        self.scheduler = self.start_scheduler()
+        give_up = time.monotonic() + PATIENCE_S
+        while not self._answers() and time.monotonic() < give_up:
+            time.sleep(0.05)
         self.workers = [self._start_worker() for _ in range(2)]
 
     @property
@@ -158,7 +166,11 @@ class Cluster:
     def options(self) -> tuple[str, ...]:
         return ("--scheduler", self.address)
 
-    def _start_scheduler(self) -> subprocess.Popen[bytes]:
+    def _answers(self) -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", self._port)) == 0
+
+    def start_scheduler(self) -> subprocess.Popen[bytes]:
         where = ("--host", "127.0.0.1", "--port", str(self._port), "--no-dashboard")
         command = [sys.executable, "-m", "dask", "scheduler", *where]
         return begin(command, self._folder / "scheduler.log")
@@ -178,7 +190,7 @@ class Cluster:
             return None
         if victim == "scheduler":
             kill(self.scheduler)
-            self.scheduler = self._start_scheduler()
+            self.scheduler = self.start_scheduler()
         else:
             kill(rng.choice(self.workers))
         self.restart()
@@ -205,7 +217,7 @@ def stored(out: Path) -> dict[str, Record]:
 
 def run_once(
     setup: Setup, out: Path, victims: Nothing | Cluster, options: Sequence[str],
-    rng: random.Random, tally: Tally, most: int,
+    rng: random.Random, tally: Tally, most: int, every: int,
 ) -> None:  # fmt: skip
     """Complete one run, with kills as long as there are fewer than ``most``."""
     setup.starts.write_text("")
@@ -215,13 +227,7 @@ def run_once(
     once: Counter[str] = Counter()
     process = begin(command, errors)
     try:
-        while True:
-            with suppress(subprocess.TimeoutExpired):
-                dying = tally.total < most
-                process.wait(rng.uniform(0, victims.life_s) if dying else PATIENCE_S)
-                break
-            if not dying:
-                raise Fault(f"{out}: not complete after {PATIENCE_S:g} s without a kill")
+        while tally.total < most and live(process, out, victims, rng, every):
             victim = victims.kill_one(rng)
             if victim is None:
                 kill(process)
@@ -234,8 +240,11 @@ def run_once(
             for name in now.keys() - before.keys():
                 once[name] = counts[name]
             before = now
-            if isinstance(victims, Cluster):
-                victims.restart()
+        give_up = time.monotonic() + PATIENCE_S
+        while not ends_within(process, 0.1):
+            victims.restart()
+            if time.monotonic() > give_up:
+                raise Fault(f"{out}: not complete after {PATIENCE_S:g} s without a kill")
     finally:
         if process.poll() is None:
             kill(process)
@@ -245,6 +254,30 @@ def run_once(
     tally.runs += 1
     tally.instances += setup.count
     tally.starts += starts_of(setup).total()
+
+
+def live(
+    process: subprocess.Popen[bytes], out: Path, victims: Nothing | Cluster,
+    rng: random.Random, every: int,
+) -> bool:  # fmt: skip
+    """Let a harness live for a random while; return whether it still does."""
+    if rng.random() < 0.2:
+        return not ends_within(process, rng.uniform(0, SOON_S))
+    goal, give_up = len(stored(out)) + rng.randint(1, 2 * every), time.monotonic() + PATIENCE_S
+    while len(stored(out)) < goal:
+        victims.restart()
+        if ends_within(process, 0.1):
+            return False
+        if time.monotonic() > give_up:
+            raise Fault(f"{out}: nothing new for {PATIENCE_S:g} s without a kill")
+    return not ends_within(process, rng.uniform(0, MOMENT_S))
+
+
+def ends_within(process: subprocess.Popen[bytes], seconds: float) -> bool:
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(seconds)
+        return True
+    return False
 
 
 def starts_of(setup: Setup) -> Counter[str]:
@@ -290,14 +323,15 @@ def victims_of(dask: bool, folder: Path) -> Iterator[Nothing | Cluster]:
         cluster.close()
 
 
-def storm(dask: bool, kills: int, count: int, jobs: int, seed: int) -> Tally:
+def storm(dask: bool, kills: int, count: int, jobs: int, every: int, seed: int) -> Tally:
     """Kill and go on until there were so many kills; raise Fault for what must not happen."""
     rng, tally = random.Random(seed), Tally()
     options = [] if dask else ["--jobs", str(jobs)]
     with tempfile.TemporaryDirectory() as name, victims_of(dask, Path(name)) as victims:
         setup = Setup(Path(name), count)
         while tally.total < kills:
-            run_once(setup, setup.folder / f"run{tally.runs}", victims, options, rng, tally, kills)
+            out = setup.folder / f"run{tally.runs}"
+            run_once(setup, out, victims, options, rng, tally, kills, every)
     return tally
 
 
@@ -307,18 +341,22 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=200)
     parser.add_argument("--instances", type=int, default=500)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--every", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     os.environ["PYTHONWARNINGS"] = "ignore"
     start = time.monotonic()
     try:
-        tally = storm(options.dask, options.kills, options.instances, options.jobs, options.seed)
+        tally = storm(
+            options.dask,
+            options.kills,
+            options.instances,
+            options.jobs,
+            options.every,
+            options.seed,
+        )
     except Fault as fault:
         sys.exit(f"FAULT: {fault}")
-    if options.json:
-        print(json.dumps({**vars(tally), "kills": dict(tally.kills)}))
-        return
     victims = ", ".join(f"{count} of the {name}" for name, count in tally.kills.most_common())
     print(f"{tally.total} kills ({victims}) in {time.monotonic() - start:.0f} s")
     print(

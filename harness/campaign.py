@@ -69,6 +69,11 @@ class Jobs(Protocol):
 def execute(plan: Plan, on_start: OnStart, on_result: OnResult, on_note: OnNote) -> None:
     """Run what has no record yet. BadInput for a plan that can't be."""
     places = _places(plan)
+    if plan.scheduler is not None and not plan.out.exists():
+        # So that nothing is begun where there is no scheduler.
+        from harness.cluster import connect  # noqa: PLC0415
+
+        connect(plan.scheduler).close()
     if plan.resume and plan.out.exists():
         folder = RunFolder.open(plan.out)
     else:

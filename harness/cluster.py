@@ -42,6 +42,17 @@ MOST_ROUNDS = 10
 _Lost = (CancelledError, OSError, TimeoutError)
 
 
+def connect(address: str) -> Client:
+    """Return a connection to a Dask scheduler; BadInput if none answers."""
+    _silence()
+    try:
+        return Client(address, timeout=CONNECT_S, set_as_default=False, name="harness")
+    except (OSError, ValueError) as error:
+        raise BadInput(
+            f"--scheduler {address}: no Dask scheduler answers there ({error})"
+        ) from None
+
+
 class ClusterJobs:
     """A Dask scheduler's workers; a context manager.
 
@@ -61,16 +72,7 @@ class ClusterJobs:
         self._hashes: dict[Path, str] = {}
         self._session = uuid.uuid4().hex
         self._futures: dict[str, Future] = {}
-        _silence()
-        try:
-            self._client = self._connected()
-        except (OSError, ValueError) as error:
-            raise BadInput(
-                f"--scheduler {address}: no Dask scheduler answers there ({error})"
-            ) from None
-
-    def _connected(self) -> Client:
-        return Client(self._address, timeout=CONNECT_S, set_as_default=False, name="harness")
+        self._client = connect(address)
 
     def install(self) -> tuple[str | None, bytes]:
         """Run install_tool.sh on one worker; return what is wrong, if anything, and its log."""
@@ -195,8 +197,8 @@ class ClusterJobs:
         give_up = time.monotonic() + RECONNECT_S
         while True:
             try:
-                self._client = self._connected()
-            except OSError:
+                self._client = connect(self._address)
+            except BadInput:
                 if time.monotonic() > give_up:
                     raise BadInput(
                         f"--scheduler {self._address}: it has been lost for {RECONNECT_S:g} s; "

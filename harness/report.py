@@ -17,6 +17,7 @@ from harness.scoring import OVERALL, Conflict, Contradiction, Row, Scores
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress
 
     from harness.explain import Explanation
 
@@ -45,6 +46,10 @@ class ProgressBar:
     """
 
     def __init__(self, total: int, completed: int, quiet: bool) -> None:
+        self._running: dict[str, None] = {}
+        self._bar: Progress | None = None
+        if quiet or not sys.stderr.isatty():
+            return
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
         from rich.progress import TimeElapsedColumn as Elapsed
 
@@ -54,11 +59,9 @@ class ProgressBar:
             Elapsed(),
             TextColumn("{task.description}"),
             console=_console(stderr=True),
-            disable=quiet or not sys.stderr.isatty(),
             transient=True,
         )
-        self._task = self._bar.add_task("", total=total, completed=completed)
-        self._running: dict[str, None] = {}
+        self._bar.add_task("", total=total, completed=completed)
 
     def begin(self, instance: str) -> None:
         """Show that an instance runs now; may be called from any thread."""
@@ -67,21 +70,24 @@ class ProgressBar:
 
     def end(self, instance: str) -> None:
         """Count an instance as done."""
-        self._bar.advance(self._task)
+        if self._bar is not None:
+            self._bar.advance(self._bar.task_ids[0])
         if self._running.pop(instance, self) is None:
             self._describe()
 
     def note(self, text: str) -> None:
         """Show what else there is to know, where no instance is shown."""
-        self._bar.update(self._task, description=text)
+        if self._bar is not None:
+            self._bar.update(self._bar.task_ids[0], description=text)
 
     def _describe(self) -> None:
         names = list(self._running)
         more = f" and {len(names) - 2} more" if len(names) > 2 else ""
-        self._bar.update(self._task, description=", ".join(names[:2]) + more)
+        self.note(", ".join(names[:2]) + more)
 
     def __enter__(self) -> Self:
-        self._bar.start()
+        if self._bar is not None:
+            self._bar.start()
         return self
 
     def __exit__(
@@ -90,7 +96,8 @@ class ProgressBar:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._bar.stop()
+        if self._bar is not None:
+            self._bar.stop()
 
 
 def print_results(results: Iterable[tuple[Record, WitnessCheck | None]]) -> None:
