@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from generator.hybrid.part import Packing
 from generator.instances import Question
 from generator.openloop.part import MakePart, open_loop_part
 from generator.partition import Partition
@@ -19,14 +20,17 @@ class Category:
 
     timeout: seconds that a tool may take for one instance; partitions: of the start range,
     for every controller that has a training record; listed: further questions, as (controller,
-    question with the controller and category left out of its ID); make: what makes the
-    networks and VNN-LIB specifications of a category that has no JSON instances.
+    question with the controller and category left out of its ID); packing: how the instances
+    are emitted as hybrid automata; traces: whether the reference traces lie there; make: what
+    makes the networks and VNN-LIB specifications of a category that has no JSON instances.
     """
 
     name: str
     timeout: int
     partitions: tuple[Partition, ...] = ()
     listed: tuple[tuple[str, Question], ...] = ()
+    packing: Packing = Packing.NONE
+    traces: bool = False
     make: MakePart | None = None
 
     def questions(self, controller: str) -> Iterator[Question]:
@@ -99,10 +103,17 @@ CATEGORIES = {
             partitions=tuple(
                 _partition(width, "clearance") for width in ("0.005", "0.002", "0.001")
             ),
+            packing=Packing.ARCHIVE,
         ),
-        Category("full_range", timeout=300, partitions=(_partition("0.2", "clearance", "hscc20"),)),
+        Category(
+            "full_range",
+            timeout=300,
+            partitions=(_partition("0.2", "clearance", "hscc20"),),
+            packing=Packing.PARTS,
+            traces=True,
+        ),
         Category("open_loop", timeout=60, make=open_loop_part),
         Category("unrolled", timeout=60, make=unrolled_part),
-        Category("quick", timeout=20, listed=_QUICK),
+        Category("quick", timeout=20, listed=_QUICK, packing=Packing.WHOLE),
     )
 }
