@@ -7,6 +7,8 @@ import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from threadpoolctl import threadpool_limits
+
 from generator import hdf5
 from generator.categories import Category
 from generator.hdf5 import Dataset, Group
@@ -49,6 +51,8 @@ def load_controllers(root: Path) -> list[ControllerFile]:
     return files
 
 
+# Products of small matrices are three times slower on two threads than on one.
+@threadpool_limits.wrap(limits=1)
 def build(
     root: Path,
     categories: Sequence[Category],
