@@ -19,6 +19,8 @@ from generator.hybrid.verisig_files import VerisigFiles, pickled, plain
 from racecar.controller import Controller
 from racecar.instance import Instance
 
+#: Builds an automaton.
+Make = Callable[[Instance, Controller], Automaton]
 #: The documents of an automaton with some start box and property.
 Print = Callable[[Automaton], Documents]
 
@@ -63,7 +65,7 @@ def _text(data: object) -> str:
 
 
 #: How each format is made: the automaton, and its documents.
-_MAKERS = {
+_MAKERS: dict[str, tuple[Make, Callable[[Automaton, Controller], Print]]] = {
     "flowstar": (polynomial_automaton, _flowstar),
     "spaceex": (polynomial_automaton, _spaceex),
     "json": (native_automaton, _json),
@@ -95,6 +97,7 @@ class Exporter:
 
     def __init__(self) -> None:
         self._kept: dict[str, _Kept] = {}
+        self._made: dict[Make, tuple[str, Automaton]] = {}
 
     def prepare(self, instance: Instance, controller: Controller, form: str) -> None:
         """Raise BadInput if a format cannot say an instance."""
@@ -139,10 +142,20 @@ class Exporter:
         key += repr(kinds)
         kept = self._kept.get(form)
         if kept is None or kept.key != key:
-            automaton, documents = _MAKERS[form]
-            made = automaton(instance, controller)
+            make, documents = _MAKERS[form]
+            made = self._automaton(make, key, instance, controller)
             kept = self._kept[form] = _Kept(key, made, documents(made, controller))
         return kept, asked(kept.automaton, instance, kinds)
+
+    def _automaton(
+        self, make: Make, key: str, instance: Instance, controller: Controller
+    ) -> Automaton:
+        """Return the automaton of an instance, made once for all formats that print it."""
+        known, automaton = self._made.get(make, ("", None))
+        if automaton is None or known != key:
+            automaton = make(instance, controller)
+            self._made[make] = key, automaton
+        return automaton
 
 
 def _contents(kept: _Kept, documents: Documents, zipped: bool) -> dict[str, bytes]:
