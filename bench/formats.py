@@ -9,10 +9,10 @@ Hybrid: the files are read back and run by the tests' readers and executor, whic
 with the printers. The native JSON form is compared step by step, at the starts on both sides of
 every wall jump: neighbours 0.1 mm apart in the start range from which some ray first meets
 different walls. Whole runs of 70 steps, in all formats, from both sides of N jumps (default:
-all); both also from three fixed starts. Unrolled: the
-general graph on 1000 starts, float32 in onnxruntime and float64 in the reference evaluator.
-VNN-LIB: every emitted 2.0 file through the official parser. Cost: processor time of an export to
-all formats, of a committed instance and of 1081 rays with 128x128 neurons.
+all). Both also from three fixed starts. Unrolled: the general graph on 1000 starts, float32 in
+onnxruntime and float64 in the reference evaluator. VNN-LIB: every emitted 2.0 file through the
+official parser. Cost: processor time of an export to all formats, of a committed instance and of
+1081 rays with 128x128 neurons.
 """
 
 from __future__ import annotations

@@ -48,20 +48,21 @@ def hybrid_part(packing: Packing, file: ControllerFile, instances: Sequence[Inst
     """Return the files about a controller by path below the category's folder.
 
     instances: of one category and this controller; with PARTS and ARCHIVE they differ in start
-    box and property only. Nothing for large controllers; a format that cannot say an instance
-    is left out.
+    box and property only. Nothing for large controllers; what a format cannot say is left out.
     """
     tree: Tree = {}
     if packing is Packing.NONE or not file.small:
         return tree
     exporter = Exporter()
+    make = {Packing.WHOLE: _whole, Packing.PARTS: _parts, Packing.ARCHIVE: _archive}[packing]
+    groups = [[instance] for instance in instances] if packing is Packing.WHOLE else [instances]
     for form in FORMATS:
-        make = {Packing.WHOLE: _whole, Packing.PARTS: _parts, Packing.ARCHIVE: _archive}[packing]
-        try:
-            files = make(exporter, file.controller, instances, form)
-        except BadInput:
-            continue
-        tree |= {f"{folder_of(form)}/{name}": content for name, content in files.items()}
+        for group in groups:
+            try:
+                files = make(exporter, file.controller, group, form)
+            except BadInput:
+                continue
+            tree |= {f"{folder_of(form)}/{name}": content for name, content in files.items()}
     return tree
 
 

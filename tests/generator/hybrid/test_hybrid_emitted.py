@@ -27,7 +27,8 @@ NAME = "TD3_L5_8_C1"
 def root(tmp_path_factory, add_controller):
     root = tmp_path_factory.mktemp("root")
     add_controller(root)
-    chosen = ["--category", "closed_loop", "--category", "full_range"]
+    names = ("closed_loop", "full_range", "state_box")
+    chosen = [part for name in names for part in ("--category", name)]
     assert CliRunner().invoke(main, ["emit", "--root", str(root), *chosen]).exit_code == 0
     return root / "benchmarks"
 
@@ -37,9 +38,9 @@ def unpacked(path):
     return gzip.decompress(path.read_bytes()).decode("latin-1")
 
 
-def archived(root, form):
-    """Return the members of the archive of closed_loop."""
-    content = gzip.decompress((root / "closed_loop" / form / f"{NAME}.tar.gz").read_bytes())
+def archived(root, category, form):
+    """Return the members of the archive of a category."""
+    content = gzip.decompress((root / category / form / f"{NAME}.tar.gz").read_bytes())
     with tarfile.open(fileobj=io.BytesIO(content)) as file:
         assert all(x.mtime == x.uid == x.gid == 0 and not x.uname for x in file.getmembers())
         return {name: file.extractfile(name).read().decode("latin-1") for name in file.getnames()}
@@ -97,15 +98,22 @@ def test_shared_and_own_files_make_the_files_of_a_full_range_instance(root, safe
     )
 
 
-def test_with_the_archives_they_make_those_of_closed_loop(root):
-    members = {form: archived(root, form) for form in ("flowstar", "spaceex", "verisig")}
-    members["automaton"] = archived(root, "automaton")
-    ids = {path.stem for path in (root / "closed_loop" / "json").iterdir()}
+@pytest.mark.parametrize(
+    ("category", "tried"),
+    [
+        ("closed_loop", ("w5mm.000", "w1mm.199")),
+        ("state_box", ("turn.s5mm.f5mm.v10mmps.h0.2deg",)),
+    ],
+)
+def test_with_the_archives_they_make_those_of_other_categories(root, category, tried):
+    forms = ("flowstar", "spaceex", "automaton", "verisig")
+    members = {form: archived(root, category, form) for form in forms}
+    ids = {path.stem for path in (root / category / "json").iterdir()}
     for names in members.values():
         assert {name.split(".clearance")[0] + ".clearance" for name in names} == ids
-    for number in ("w5mm.000", "w1mm.199"):
-        id = f"{NAME}.closed_loop.{number}.clearance"
-        check(root, "closed_loop", id, lambda form, name: members[form][name])
+    for label in tried:
+        id = f"{NAME}.{category}.{label}.clearance"
+        check(root, category, id, lambda form, name: members[form][name])
 
 
 def test_gzip_files_laid_one_after_the_other_are_a_gzip_file(root):
@@ -138,13 +146,17 @@ def test_quick_instances_are_whole(tmp_path, add_controller):
     read_json(unpacked(folder / "automaton" / f"{ids[0]}.automaton.json.gz"))
 
 
-def test_a_format_that_cannot_say_an_instance_is_left_out(tmp_path, add_controller):
+def test_what_a_format_cannot_say_is_left_out(tmp_path, add_controller):
     file = ControllerFile.load(add_controller(tmp_path))
     noise = Disturbance(noise=0.01, missing=0, turn_only=False, choice="run")
     question = Question("A.noise", "noise", ("0.7", "0.8"), steps=2, disturbance=noise)
     instance = make_instance(question, file, 4.0, tmp_path / "x.json")
     tree = hybrid_part(Packing.WHOLE, file, [instance])
     assert {path.split("/")[0] for path in tree} == {"flowstar", "spaceex", "automaton"}
+    calm = make_instance(Question("A.calm", "noise", "0.7"), file, 4.0, tmp_path / "x.json")
+    both = hybrid_part(Packing.WHOLE, file, [instance, calm])
+    assert tree.items() <= both.items()
+    assert {path.split("/")[1].split(".")[1] for path in both if "verisig" in path} == {"calm"}
 
 
 def test_large_controllers_are_left_out(tmp_path, add_controller):
