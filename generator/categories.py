@@ -24,9 +24,9 @@ class Category:
     timeout: seconds that a tool may take for one instance; partitions: of the start range,
     for every controller that has a training record; asked: further questions to every
     controller, the controller and the category left out of their IDs; listed: questions to one,
-    as (controller, question); packing: how the instances
-    are emitted as hybrid automata; traces: whether the reference traces lie there; make: what
-    makes the networks and VNN-LIB specifications of a category that has no JSON instances.
+    as (controller, question); packing: how the instances are emitted as hybrid automata; traces:
+    whether the reference traces lie there; make: what makes the networks and VNN-LIB
+    specifications of a category that has no JSON instances.
     """
 
     name: str
@@ -102,8 +102,7 @@ _QUICK = (
 )
 
 # Uncertain s, f, v and heading at once, in five sizes, from the benchmark's start and at full
-# speed before the turn. The reference verifier decides the second size of most controllers in
-# seconds and gives up on the last ones.
+# speed before the turn. docs/categories.md says how far the reference verifier gets.
 _SIZES = (
     # s and f (mm), v (mm/s), heading (degrees): the whole widths of the box.
     ("5", "10", "0.2"),
@@ -112,7 +111,7 @@ _SIZES = (
     ("100", "200", "6"),
     ("200", "400", "20"),
 )
-#: What begins the ID; front (m); least speed of the box, or its middle (m/s).
+#: What begins the ID; front (m); speed (m/s) in the middle of the box, or 0: it begins there.
 _PLACES = (("start", "9.9", "0"), ("turn", "4", "2.4"))
 
 
@@ -125,13 +124,13 @@ def _around(middle: str, width: str, scale: str = "1") -> tuple[str, str]:
 def _box(place: str, front: str, speed: str, size: tuple[str, str, str]) -> Question:
     wide, fast, turned = size
     # No car starts backwards.
-    lowest = Decimal(speed) or Decimal(fast) / 2000
+    middle = Decimal(speed) or Decimal(fast) / 2000
     return Question(
         f"{place}.s{wide}mm.f{wide}mm.v{fast}mmps.h{turned}deg.clearance",
         "state_box",
         _around("0.75", wide, "0.001"),
         _around(front, wide, "0.001"),
-        _around(f"{lowest}", fast, "0.001"),
+        _around(f"{middle}", fast, "0.001"),
         _around("0", turned),
     )
 
