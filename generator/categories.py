@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from typing import Literal
 
+from generator.hybrid.part import Packing
 from generator.instances import Question
 from generator.openloop.part import MakePart, open_loop_part
 from generator.partition import Partition
 from generator.unrolled.part import unrolled_part
+from racecar.disturbance import Disturbance
 
 LOWER, UPPER = "0.65", "0.85"
 
@@ -18,15 +22,20 @@ class Category:
     """A folder of instances.
 
     timeout: seconds that a tool may take for one instance; partitions: of the start range,
-    for every controller that has a training record; listed: further questions, as (controller,
-    question with the controller and category left out of its ID); make: what makes the
-    networks and VNN-LIB specifications of a category that has no JSON instances.
+    for every controller that has a training record; asked: further questions to every
+    controller, the controller and the category left out of their IDs; listed: questions to one,
+    as (controller, question); packing: how the instances are emitted as hybrid automata; traces:
+    whether the reference traces lie there; make: what makes the networks and VNN-LIB
+    specifications of a category that has no JSON instances.
     """
 
     name: str
     timeout: int
     partitions: tuple[Partition, ...] = ()
+    asked: tuple[Question, ...] = ()
     listed: tuple[tuple[str, Question], ...] = ()
+    packing: Packing = Packing.NONE
+    traces: bool = False
     make: MakePart | None = None
 
     def questions(self, controller: str) -> Iterator[Question]:
@@ -37,6 +46,8 @@ class Category:
             for subset, names in zip(partition.subsets, ids, strict=True):
                 for name, safety in zip(names, partition.properties, strict=True):
                     yield Question(name, self.name, subset, safety=safety)
+        for question in self.asked:
+            yield replace(question, id=f"{prefix}.{question.id}")
         for wanted, question in self.listed:
             if wanted == controller:
                 yield question
@@ -90,6 +101,93 @@ _QUICK = (
     _quick(_TD3, "swerve", _RANGE, front="1.7", speed="2.4", heading="-40"),
 )
 
+# Uncertain s, f, v and heading at once, in five sizes, from the benchmark's start and at full
+# speed before the turn. docs/categories.md says how far the reference verifier gets.
+_SIZES = (
+    # s and f (mm), v (mm/s), heading (degrees): the whole widths of the box.
+    ("5", "10", "0.2"),
+    ("20", "50", "1"),
+    ("50", "100", "3"),
+    ("100", "200", "6"),
+    ("200", "400", "20"),
+)
+#: What begins the ID; front (m); speed (m/s) in the middle of the box, or 0: it begins there.
+_PLACES = (("start", "9.9", "0"), ("turn", "4", "2.4"))
+
+
+def _around(middle: str, width: str, scale: str = "1") -> tuple[str, str]:
+    """Return the bounds of a range of a width, given in ``scale`` of the middle's unit."""
+    half = Decimal(width) * Decimal(scale) / 2
+    return f"{Decimal(middle) - half:f}", f"{Decimal(middle) + half:f}"
+
+
+def _box(place: str, front: str, speed: str, size: tuple[str, str, str]) -> Question:
+    wide, fast, turned = size
+    # No car starts backwards.
+    middle = Decimal(speed) or Decimal(fast) / 2000
+    return Question(
+        f"{place}.s{wide}mm.f{wide}mm.v{fast}mmps.h{turned}deg.clearance",
+        "state_box",
+        _around("0.75", wide, "0.001"),
+        _around(front, wide, "0.001"),
+        _around(f"{middle}", fast, "0.001"),
+        _around("0", turned),
+    )
+
+
+def _disturbed(
+    category: str,
+    label: str,
+    disturbance: Disturbance | None,
+    width: str,
+    steps: int,
+    safety: str = "clearance",
+) -> Question:
+    """Ask about starts on a line in s, ``width`` mm wide around its middle."""
+    return Question(
+        f"{label}s{width}mm.k{steps}.{safety}",
+        category,
+        _around("0.75", width, "0.001"),
+        steps=steps,
+        safety=safety,
+        disturbance=disturbance,
+    )
+
+
+def _noise(millimetres: int, width: str, steps: int, category: str = "noise") -> Question:
+    disturbance = Disturbance(noise=millimetres / 1000, missing=0, turn_only=False, choice="step")
+    return _disturbed(category, f"n{millimetres}mm.", disturbance, width, steps)
+
+
+def _faults(missing: int, choice: Literal["run", "step"], width: str, steps: int) -> Question:
+    disturbance = Disturbance(noise=0, missing=missing, turn_only=True, choice=choice)
+    return _disturbed("faults", f"m{missing}.{choice}.", disturbance, width, steps)
+
+
+# The car comes to the turn, where rays may be missing, at about the 37th control instant. So the
+# horizon says how many scans are spoiled: one, three, five, eight, or all of the turn. With a ray
+# less, simulated runs crash between the 42nd and the 50th instant, if they do.
+_FAULTS = tuple(
+    _faults(missing, choice, width, steps)
+    for missing in (1, 2, 5)
+    for choice in ("run", "step")
+    for width, steps in (("20", 38), ("20", 40), ("20", 42), ("20", 45), ("200", 70))
+)
+_NOISE = tuple(
+    _noise(millimetres, width, steps)
+    for millimetres in (2, 5, 10, 20)
+    for width, steps in (("20", 20), ("20", 40), ("20", 70), ("200", 70))
+)
+#: Control periods of a full lap: four turns.
+_LAP = 320
+_LAPS = (
+    *(_disturbed("lap", "", None, width, _LAP) for width in ("1", "20", "200")),
+    _disturbed("lap", "", None, "200", _LAP, "hscc20"),
+    # Two laps, and one with noise.
+    _disturbed("lap", "", None, "200", 2 * _LAP),
+    _noise(2, "20", _LAP, "lap"),
+)
+
 CATEGORIES = {
     category.name: category
     for category in (
@@ -99,10 +197,26 @@ CATEGORIES = {
             partitions=tuple(
                 _partition(width, "clearance") for width in ("0.005", "0.002", "0.001")
             ),
+            packing=Packing.ARCHIVE,
         ),
-        Category("full_range", timeout=300, partitions=(_partition("0.2", "clearance", "hscc20"),)),
+        Category(
+            "full_range",
+            timeout=300,
+            partitions=(_partition("0.2", "clearance", "hscc20"),),
+            packing=Packing.PARTS,
+            traces=True,
+        ),
+        Category(
+            "state_box",
+            timeout=120,
+            asked=tuple(_box(*place, size) for place in _PLACES for size in _SIZES),
+            packing=Packing.ARCHIVE,
+        ),
+        Category("noise", timeout=120, asked=_NOISE),
+        Category("faults", timeout=120, asked=_FAULTS),
+        Category("lap", timeout=300, asked=_LAPS),
         Category("open_loop", timeout=60, make=open_loop_part),
         Category("unrolled", timeout=60, make=unrolled_part),
-        Category("quick", timeout=20, listed=_QUICK),
+        Category("quick", timeout=20, listed=_QUICK, packing=Packing.WHOLE),
     )
 }

@@ -7,9 +7,13 @@ import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from threadpoolctl import threadpool_limits
+
 from generator import hdf5
 from generator.categories import Category
 from generator.hdf5 import Dataset, Group
+from generator.hybrid.json_form import automaton_schema
+from generator.hybrid.part import hybrid_part
 from generator.instances import ControllerFile, benchmark_plant, make_instance
 from generator.openloop.part import NETWORKS, SPECS, Asked, Draw, spec_path
 from generator.partition import Partition
@@ -24,6 +28,7 @@ FOLDER = "benchmarks"
 #: Version of VNN-LIB that an instances.csv names; the other versions lie beside it.
 LISTED_VERSION = "1.0"
 SCHEMA, MANIFEST = f"{FOLDER}/instance.schema.json", f"{FOLDER}/manifest.json"
+AUTOMATON_SCHEMA = f"{FOLDER}/automaton.schema.json"
 
 
 def load_controllers(root: Path) -> list[ControllerFile]:
@@ -46,18 +51,23 @@ def load_controllers(root: Path) -> list[ControllerFile]:
     return files
 
 
+# Products of small matrices are three times slower on two threads than on one.
+@threadpool_limits.wrap(limits=1)
 def build(
     root: Path,
     categories: Sequence[Category],
     controllers: Sequence[ControllerFile],
     report: Callable[[int, int], None] = lambda done, total: None,
 ) -> Emitted:
-    """Return every file of the categories, and the schema.
+    """Return every file of the categories, and the schemas.
 
     report(done, total) counts instances, and controllers in the categories that make networks or
     VNN-LIB specifications.
     """
-    tree: Tree = {SCHEMA: format_json(instance_schema())}
+    tree: Tree = {
+        SCHEMA: format_json(instance_schema()),
+        AUTOMATON_SCHEMA: format_json(automaton_schema()),
+    }
     total = sum(
         1 if c.make else len(list(c.questions(file.name)))
         for c in categories
@@ -77,6 +87,7 @@ def build(
                 rows += [_row(category, asked) for asked in part.asked]
                 done += 1
                 report(done, total)
+            instances = []
             for question in category.questions(file.name):
                 spec = f"json/{question.id}.json"
                 if f"{base}/{spec}" in tree:
@@ -84,9 +95,13 @@ def build(
                 instance = make_instance(question, file, view, root / base / spec)
                 tree[f"{base}/{spec}"] = format_instance(instance).encode()
                 rows.append((f"../../onnx/{file.path.name}", spec, category.timeout))
+                instances.append(instance)
                 done += 1
                 report(done, total)
-            if category.partitions and file.name not in traces:
+            if instances:
+                hybrid = hybrid_part(category.packing, file, instances)
+                tree |= {f"{base}/{path}": content for path, content in hybrid.items()}
+            if category.traces:
                 traces[file.name] = trace_group(file, view)
         if not rows:
             continue
@@ -94,6 +109,7 @@ def build(
         if category.partitions:
             names = [file.name for file in controllers]
             tree[f"{base}/partitions.h5"] = hdf5.to_bytes(_partitions(category, names))
+        if category.traces:
             group = Group("reference traces of the nominal drive, by controller", traces)
             tree[f"{base}/{TRACES}"] = hdf5.to_bytes(group)
     inputs = {f"onnx/{file.path.name}": file.content for file in controllers}

@@ -13,7 +13,7 @@ from generator.progress import progress_bar
 from racecar.command_line import print_json
 from racecar.controller import write_whole
 from racecar.errors import BadInput
-from racecar.instance import load_instance, load_instance_controller
+from racecar.instance import Instance, load_instance, load_instance_controller
 
 #: Kept here as well as in generator.hybrid.export, so that ``--help`` imports nothing heavy.
 FORMATS = ("flowstar", "spaceex", "json", "verisig")
@@ -47,8 +47,8 @@ def export_hybrid(
 ) -> None:
     """Write each instance in each format to OUTPUT/FORMAT, files named by the instance's ID.
 
-    Beside the JSON files lies their schema. Raises BadInput where a format cannot say an
-    instance; what was written before stays.
+    Beside the JSON files lies their schema. Raises BadInput, before anything is written, if an
+    instance is bad, stands there twice, or is beyond what a format can say.
     """
     # Both are slow to import.
     from generator.hybrid.export import Exporter  # noqa: PLC0415
@@ -57,21 +57,31 @@ def export_hybrid(
     if not instances:
         raise BadInput("export: name at least one instance file")
     forms, exporter = forms or FORMATS, Exporter()
+    loaded: dict[str, tuple[Path, Instance]] = {}
+    for path in instances:
+        instance = load_instance(path)
+        controller = load_instance_controller(instance, path)
+        if instance.id in loaded:
+            raise BadInput(f"{path}: its ID, {instance.id}, is that of {loaded[instance.id][0]}")
+        loaded[instance.id] = path, instance
+        for form in forms:
+            exporter.prepare(instance, controller, form)
     if "json" in forms:
         schema = json.dumps(automaton_schema(), indent=2) + "\n"
         write_whole(output / "json" / "automaton.schema.json", schema.encode())
-    with progress_bar(as_json or len(instances) * len(forms) == 1) as report:
-        for i, path in enumerate(instances):
-            instance = load_instance(path)
+    with progress_bar(as_json or len(loaded) * len(forms) == 1) as report:
+        done = 0
+        for path, instance in loaded.values():
             controller = load_instance_controller(instance, path)
-            for j, form in enumerate(forms):
+            for form in forms:
                 written = []
                 files = exporter.files(instance, controller, form, zipped=not plain)
                 for ending, content in files.items():
                     target = output / form / f"{instance.id}{ending}"
                     write_whole(target, content)
                     written.append(target)
-                report("export", i * len(forms) + j + 1, len(instances) * len(forms))
+                done += 1
+                report("export", done, len(loaded) * len(forms))
                 _tell(instance.id, form, written, as_json)
 
 

@@ -21,6 +21,9 @@ from racecar.lidar import Lidar
 from racecar.safety import named_property
 from racecar.track import square_track
 
+#: Formats that spell out weights are emitted for controllers of at most so many. Files of larger
+#: ones would be megabytes each; `generator export` makes them.
+MOST_WEIGHTS = 25_000
 #: One value, or lower and upper bound, as decimal literals.
 Range = str | Bounds
 
@@ -63,6 +66,17 @@ class ControllerFile:
     def name(self) -> str:
         """The file's name without its ending."""
         return self.path.stem
+
+    @property
+    def small(self) -> bool:
+        """Whether it has at most MOST_WEIGHTS weights."""
+        return sum(layer.weights.size for layer in self.controller.layers) <= MOST_WEIGHTS
+
+    @property
+    def further_seed(self) -> bool:
+        """Whether the name says that it is not the first of its setup, such as ..._C2."""
+        index = self.name.rpartition("_C")[2]
+        return index.isdecimal() and int(index) != 1
 
     @property
     def sha256(self) -> str:

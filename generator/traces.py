@@ -12,6 +12,8 @@ from racecar.polygon import Array
 from racecar.safety import PROPERTIES, named_property
 
 STARTS, STEPS = 21, 70
+#: Scans of more rays are left out: they would be megabytes, and follow from the states.
+MOST_RAYS = 100
 
 _STATES = {
     "frame": ("1", "hall that the local frame belongs to, counted from 0"),
@@ -55,9 +57,10 @@ def trace_group(file: ControllerFile, field_of_view: float) -> Group:
         members[name] = Dataset(
             values, units, f"{description}; at the control instants, [starts, steps + 1]"
         )
-    members["scan"] = Dataset(
-        scans, "m", "LiDAR distances, first ray at the right end, [starts, steps, rays]"
-    )
+    if file.controller.rays <= MOST_RAYS:
+        members["scan"] = Dataset(
+            scans, "m", "LiDAR distances, first ray at the right end, [starts, steps, rays]"
+        )
     members["steering"] = Dataset(
         steering, "rad", "steering angle, left positive, held for the period, [starts, steps]"
     )

@@ -1,16 +1,19 @@
 """Trees of emitted files: written, compared with what is there, summed up in a manifest.
 
-A tree is built whole in memory. The one thing that need not repeat on another machine are
-HDF5 files: the last bits of reference traces depend on its mathematical library and on how a
-matrix product is split, and the bytes of any HDF5 file may depend on the HDF5 library. So a
-check compares HDF5 files by content (real numbers of traces to 1e-9, everything else exactly)
-and proves their bytes unharmed by the manifest; all other files are compared byte for byte.
+A tree is built whole in memory. What need not repeat on another machine are packed files: the
+last bits of reference traces depend on its mathematical library and on how a matrix product is
+split, the bytes of any HDF5 file may depend on the HDF5 library, those of a gzip file on zlib. So
+a check compares HDF5 files by content (real numbers of traces to 1e-9, everything else exactly),
+gzip files by what they hold, and proves the bytes of both unharmed by the manifest; all other
+files are compared byte for byte.
 """
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -60,15 +63,17 @@ class Differences:
 def write_tree(root: Path, emitted: Emitted) -> tuple[list[str], list[str]]:
     """Write what is not there yet and remove what is stale; return both lists of paths.
 
-    The manifest comes last: where it is current, the rest is complete.
+    A packed file that another machine packed alike, and that is as its manifest says, stays. The
+    new manifest comes last: where it is current, the rest is complete.
     """
-    written = [path for path, content in emitted.tree.items() if _update(root / path, content)]
+    tree = emitted.tree | _packed_alike(root, emitted)
+    written = [path for path, content in tree.items() if _update(root / path, content)]
     removed = _stale(root, emitted)
     for path in removed:
         (root / path).unlink()
     for folder in emitted.folders:
         _remove_empty(root / folder)
-    if _update(root / emitted.manifest, _manifest(root, emitted, emitted.tree)):
+    if _update(root / emitted.manifest, _manifest(root, emitted, tree)):
         written.append(emitted.manifest)
     return written, removed
 
@@ -93,36 +98,66 @@ def check_tree(root: Path, emitted: Emitted) -> Differences:
     return found
 
 
+def _packed_alike(root: Path, emitted: Emitted) -> Tree:
+    """Return the packed files that are there, hold what they should, and are unharmed."""
+    entries, found = _entries(root, emitted), {}
+    for path, content in emitted.tree.items():
+        if path.endswith((".gz", ".h5")) and (existing := _content(root / path)) is not None:
+            unharmed = entries.get(path) == _entry(existing)
+            if unharmed and _same(path, existing, content):
+                found[path] = existing
+    return found
+
+
 def _same(path: str, existing: bytes, content: bytes) -> bool:
-    if existing == content or not path.endswith(".h5"):
-        return existing == content
-    tolerance = TRACE_TOLERANCE if path.endswith(f"/{TRACES}") else 0.0
-    return not hdf5.differences(existing, content, tolerance)
+    if existing == content:
+        return True
+    if path.endswith(".gz"):
+        return _unpacked(existing) == _unpacked(content)
+    if path.endswith(".h5"):
+        tolerance = TRACE_TOLERANCE if path.endswith(f"/{TRACES}") else 0.0
+        return not hdf5.differences(existing, content, tolerance)
+    return False
+
+
+def _unpacked(content: bytes) -> bytes | None:
+    try:
+        return gzip.decompress(content)
+    except (OSError, EOFError, zlib.error):  # damaged
+        return None
 
 
 def _manifest(root: Path, emitted: Emitted, tree: Tree) -> bytes:
     """Return the manifest of a tree; entries for folders that are not ours stay."""
     entries = _other_entries(root, emitted)
     for path, content in (tree | emitted.inputs).items():
-        entries[path] = {"sha256": hashlib.sha256(content).hexdigest(), "size": len(content)}
+        entries[path] = _entry(content)
     return format_json(
         {"format": "closedlap-manifest", "version": "1.0", "files": dict(sorted(entries.items()))}
     )
 
 
+def _entry(content: bytes) -> dict[str, str | int]:
+    return {"sha256": hashlib.sha256(content).hexdigest(), "size": len(content)}
+
+
+def _entries(root: Path, emitted: Emitted) -> Entries:
+    """Return the entries of the present manifest, none if it is not one."""
+    try:
+        return dict(json.loads(_content(root / emitted.manifest) or b"{}")["files"])
+    except (ValueError, KeyError, TypeError):
+        return {}
+
+
 def _other_entries(root: Path, emitted: Emitted) -> Entries:
     """Return the entries of the present manifest about other emitted folders than ours."""
-    try:
-        files = json.loads(_content(root / emitted.manifest) or b"{}")["files"]
-        return {
-            path: entry
-            for path, entry in files.items()
-            if path.count("/") > 1
-            and not path.startswith(tuple(f"{folder}/" for folder in emitted.folders))
-            and (root / path).exists()
-        }
-    except (ValueError, KeyError, TypeError, AttributeError):  # not a manifest
-        return {}
+    return {
+        path: entry
+        for path, entry in _entries(root, emitted).items()
+        if path.count("/") > 1
+        and not path.startswith(tuple(f"{folder}/" for folder in emitted.folders))
+        and (root / path).exists()
+    }
 
 
 def _stale(root: Path, emitted: Emitted) -> list[str]:

@@ -13,13 +13,14 @@ import csv
 import gzip
 import io
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from generator.categories import CATEGORIES, Category
+from generator.gzipped import gzipped
 from generator.instances import ControllerFile, benchmark_plant
 from generator.openloop.part import Asked, Draw, Part, spec_path
 from generator.openloop.printer import VERSIONS
@@ -84,10 +85,11 @@ def export_vnncomp(
     for folder in folders:
         if folder.exists():
             raise BadInput(f"{folder}: it is there already; choose another folder")
+    parts = [_emitted(root, category) for category in chosen]
     written = []
-    for done, (category, folder) in enumerate(zip(chosen, folders, strict=True)):
-        part = _emitted(root, category)
-        _write(folder, _layout(category.name, part) | _beside(category.name, controllers))
+    for done, (category, folder, part) in enumerate(zip(chosen, folders, parts, strict=True)):
+        tree = _layout(category.name, part) | _beside(category.name, controllers)
+        _replace({folder: tree})
         seconds = sum(asked.timeout for asked in part.asked)
         written.append(Exported(category.name, folder, len(part.asked), seconds))
         report(done + 1, len(chosen))
@@ -108,9 +110,16 @@ def generate_properties(folder: Path, name: str, seed: int) -> Exported:
         part.asked += more.asked
     part.asked = choose(part.asked, seed)
     tree = _layout(name, part)
-    for version in VERSIONS:
-        shutil.rmtree(folder / version, ignore_errors=True)
-    _write(folder, tree)
+    _replace(
+        {
+            folder / version: {
+                path.removeprefix(f"{version}/"): content
+                for path, content in tree.items()
+                if path.startswith(f"{version}/")
+            }
+            for version in VERSIONS
+        }
+    )
     return Exported(name, folder, len(part.asked), sum(asked.timeout for asked in part.asked))
 
 
@@ -128,14 +137,6 @@ def choose(asked: Sequence[Asked], seed: int, budget: int = BUDGET) -> list[Aske
 def benchmark_name(category: str) -> str:
     """Return what a category is called among other people's benchmarks."""
     return f"closedlap_{category}"
-
-
-def compress(content: bytes) -> bytes:
-    """Return a gzip file without name and time: the same content gives the same bytes."""
-    buffer = io.BytesIO()
-    with gzip.GzipFile(filename="", mode="wb", fileobj=buffer, compresslevel=9, mtime=0) as file:
-        file.write(content)
-    return buffer.getvalue()
 
 
 def _category(name: str) -> Category:
@@ -177,16 +178,16 @@ def _layout(category: str, part: Part) -> Tree:
             network, spec = f"onnx/{PurePosixPath(asked.network).name}", f"vnnlib/{asked.id}.vnnlib"
             rows.write(f"{network},{spec},{asked.timeout}\n")
             content = part.files[spec_path(category, asked.id, version)]
-            tree[f"{version}/{spec}.gz"] = compress(content)
+            tree[f"{version}/{spec}.gz"] = gzipped(content)
             if f"{version}/{network}.gz" not in tree:
-                tree[f"{version}/{network}.gz"] = compress(part.files[asked.network])
+                tree[f"{version}/{network}.gz"] = gzipped(part.files[asked.network])
         tree[f"{version}/instances.csv"] = rows.getvalue().encode()
     return tree
 
 
 def _beside(category: str, controllers: Sequence[ControllerFile]) -> Tree:
     """Return the script that makes competition sets and what it needs."""
-    tree = {f"{_CONTROLLERS}/{file.path.name}.gz": compress(file.content) for file in controllers}
+    tree = {f"{_CONTROLLERS}/{file.path.name}.gz": gzipped(file.content) for file in controllers}
     return tree | {_SCRIPT: _SCRIPT_TEXT.replace("{category}", category).encode()}
 
 
@@ -204,6 +205,13 @@ def _load_controllers(folder: Path) -> list[ControllerFile]:
     return files
 
 
-def _write(folder: Path, tree: Tree) -> None:
-    for path, content in tree.items():
-        write_whole(folder / path, content)
+def _replace(trees: Mapping[Path, Tree]) -> None:
+    """Put trees in the place of folders, all of them written before the first is put there."""
+    parts = {folder: folder.with_name(f".{folder.name}.part") for folder in trees}
+    for folder, tree in trees.items():
+        shutil.rmtree(parts[folder], ignore_errors=True)
+        for path, content in tree.items():
+            write_whole(parts[folder] / path, content)
+    for folder, part in parts.items():
+        shutil.rmtree(folder, ignore_errors=True)
+        part.rename(folder)

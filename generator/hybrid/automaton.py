@@ -22,6 +22,8 @@ from generator.hybrid.expression import (
 
 #: The variable that measures the time in a mode, seconds.
 CLOCK = "clk"
+#: Its flow.
+TICK: dict[str, Expression] = {CLOCK: constant(1.0)}
 #: Seconds that a tool may spend beyond the longest run. A run is over when its control periods are
 #: counted, not when time is; tools add the small steps that they make in modes without duration.
 SPARE_TIME = 1.0
@@ -154,6 +156,7 @@ def checked(automaton: Automaton) -> Automaton:
     if len(known) != len(names) or len(modes) != len(automaton.modes):
         raise ValueError("two variables or two modes have one name")
     ends = {mode for jump in automaton.jumps for mode in (jump.source, jump.target)}
+    ends |= {unsafe.mode for unsafe in automaton.unsafe}
     used = {automaton.heading}.union(*(names_in(e) for e in automaton.expressions()))
     used |= {a.variable for jump in automaton.jumps for a in jump.reset}
     used |= {name for mode in automaton.modes for name in mode.flow}
@@ -161,6 +164,9 @@ def checked(automaton: Automaton) -> Automaton:
     strange |= set(automaton.initial) ^ known
     if strange:
         raise ValueError(f"the automaton does not know {sorted(strange)}")
+    for jump in automaton.jumps:
+        if len({a.variable for a in jump.reset}) < len(jump.reset):
+            raise ValueError(f"a jump from {jump.source} resets a variable twice")
     return automaton
 
 
@@ -186,7 +192,7 @@ def with_crash_mode(automaton: Automaton) -> Automaton:
     For languages that take one unsafe conjunction per mode. Jumps may be taken at any time at
     which their guard holds, so CRASH can be reached exactly if the unsafe set can.
     """
-    crash = Mode(CRASH, "the car has been in the unsafe set", {}, 0.0)
+    crash = Mode(CRASH, "the car has been in the unsafe set", TICK, 0.0)
     restart = Assignment(CLOCK, constant(0.0))
     jumps = tuple(Jump(u.mode, CRASH, u.constraints, (restart,)) for u in automaton.unsafe)
     return replace(

@@ -12,10 +12,11 @@ only) is left to a dialect: generator.hybrid.native and generator.hybrid.polynom
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from generator.hybrid.automaton import (
     CLOCK,
+    TICK,
     Assignment,
     Automaton,
     Constraint,
@@ -28,7 +29,7 @@ from generator.hybrid.automaton import (
 )
 from generator.hybrid.dialect import Dialect, F, S, Sight
 from generator.hybrid.disturb import Spoil, disturbance_variables, spoiled, start_disturbance
-from generator.hybrid.expression import ZERO, Expression, Variable, constant
+from generator.hybrid.expression import ZERO, Variable, constant
 from generator.hybrid.sight import Face, alike, check_walls_unsafe, zones
 from generator.hybrid.steps import Step, decide, linked
 from racecar.controller import Controller
@@ -49,44 +50,76 @@ def build(instance: Instance, controller: Controller, dialect: Dialect) -> Autom
 
     Raises BadInput where the dialect cannot say the instance.
     """
+    return _Builder(instance, controller.rays, dialect, kinds_of_hall(instance)).build()
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """Frames that behave the same from there on are of one kind, called by the first of them.
+
+    of: the kind of each frame; met: the kinds that a run can come to, in order.
+    """
+
+    of: tuple[int, ...]
+    met: tuple[int, ...]
+
+    def name(self, base: str, kind: int) -> str:
+        """Return what a mode is called in halls of a kind."""
+        return base if len(self.met) == 1 else f"{base}_{self.met.index(kind) + 1}"
+
+
+def kinds_of_hall(instance: Instance) -> Kinds:
+    """Return the kinds of an instance's halls; BadInput if a wall is not unsafe."""
     frames, unsafe = instance.plant.frames, instance.property.unsafe
     check_walls_unsafe(frames, unsafe)
-    builder = _Builder(instance, controller.rays, dialect, alike(frames, unsafe))
-    return builder.build()
+    of = alike(frames, unsafe)
+    kind = of[0]
+    met: list[int] = []
+    # The car changes the frame once in a period at most.
+    while kind not in met and len(met) <= instance.steps:
+        met.append(kind)
+        advance = frames[kind].advance
+        if advance is None:
+            break
+        kind = of[advance.to]
+    return Kinds(tuple(of), tuple(met))
 
 
-def started(automaton: Automaton, instance: Instance) -> Automaton:
-    """Return an automaton with the ID and the start box of another instance.
+def asked(automaton: Automaton, instance: Instance, kinds: Kinds) -> Automaton:
+    """Return an automaton with the ID, the start box and the property of an instance.
 
-    The instances may differ in nothing else that the automaton says.
+    It was made for one that differs in nothing else; kinds: of both instances' halls.
     """
     box = instance.initial_set
     given = {"s": box.s, "f": box.f, "v": box.v, automaton.heading: box.theta}
-    return replace(automaton, name=instance.id, initial=automaton.initial | given)
+    unsafe = tuple(
+        Unsafe(
+            kinds.name("drive", kind),
+            tuple(Constraint(a_s * S + a_f * F, "<=", b) for a_s, a_f, b in polygon),
+        )
+        for kind in kinds.met
+        for polygon in instance.property.unsafe[kind]
+    )
+    return replace(
+        automaton,
+        name=instance.id,
+        description=f"{instance.controller.name}, {instance.steps} control periods, "
+        f"property {instance.property.name}",
+        initial=automaton.initial | given,
+        unsafe=unsafe,
+    )
 
 
 class _Builder:
-    def __init__(self, instance: Instance, rays: int, dialect: Dialect, kinds: list[int]) -> None:
+    def __init__(self, instance: Instance, rays: int, dialect: Dialect, kinds: Kinds) -> None:
         self.instance, self.rays, self.dialect = instance, rays, dialect
-        self.classes = kinds
-        self.kinds = self._reachable()
+        self.halls = kinds
+        self.classes, self.kinds, self._name = kinds.of, kinds.met, kinds.name
         spoil = instance.disturbance
         self.spoil = spoil and Spoil(spoil, rays, instance.plant.lidar.range, instance.plant.width)
         self.modes: list[Mode] = []
         self.jumps: list[Jump] = []
         self.looks = 0
-
-    def _reachable(self) -> list[int]:
-        """Return the kinds of frame that a run can come to, in order."""
-        kind = self.classes[0]
-        found: list[int] = []
-        while kind not in found and len(found) <= self.instance.steps:
-            found.append(kind)
-            advance = self.instance.plant.frames[kind].advance
-            if advance is None:
-                break
-            kind = self.classes[advance.to]
-        return found
 
     def build(self) -> Automaton:
         """Put the phases together."""
@@ -120,25 +153,21 @@ class _Builder:
         seconds = {step.mode.name: step.mode.dwell for step in (*steps, *work)}
         automaton = Automaton(
             self.instance.id,
-            f"{self.instance.controller.name}, {count} control periods, "
-            f"property {self.instance.property.name}",
+            "",
             tuple(variables),
-            tuple(Mode(m.name, m.description, m.flow | _TICK, m.dwell) for m in self.modes),
+            tuple(Mode(m.name, m.description, m.flow | TICK, m.dwell) for m in self.modes),
             tuple(self.jumps),
             steps[0].mode.name,
             {},
             self.dialect.heading(),
-            self._unsafe(),
+            (),
             sum(seconds[step.mode.name] for step in steps)
             + count * (sum(seconds[s.mode.name] for s in work) + self.instance.plant.period),
             len(steps) + count * (3 + len(self.dialect.prepare()) + self.looks + len(work)),
         )
         zero = dict.fromkeys((variable.name for variable in variables), 0.0)
         start = {name: (x, x) for name, x in (zero | self.dialect.begin()).items()}
-        return checked(started(replace(automaton, initial=start), self.instance))
-
-    def _name(self, base: str, kind: int) -> str:
-        return base if len(self.kinds) == 1 else f"{base}_{self.kinds.index(kind) + 1}"
+        return checked(asked(replace(automaton, initial=start), self.instance, self.halls))
 
     def _in_kind(self, kind: int) -> tuple[Constraint, ...]:
         if len(self.kinds) == 1:
@@ -278,19 +307,6 @@ class _Builder:
         if self.spoil:
             found += disturbance_variables(self.spoil)
         return [*found, StateVariable(CLOCK, "time in the mode", "s")]
-
-    def _unsafe(self) -> tuple[Unsafe, ...]:
-        return tuple(
-            Unsafe(
-                self._name("drive", kind),
-                tuple(Constraint(a_s * S + a_f * F, "<=", b) for a_s, a_f, b in polygon),
-            )
-            for kind in self.kinds
-            for polygon in self.instance.property.unsafe[kind]
-        )
-
-
-_TICK: dict[str, Expression] = {CLOCK: constant(1.0)}
 
 
 def _meets(dialect: Dialect, sight: Sight, face: Face) -> list[Constraint]:

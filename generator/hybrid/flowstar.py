@@ -8,7 +8,7 @@ count as unsafe. Relations are not strict: at the boundary of a guard both jumps
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from generator.hybrid.automaton import (
@@ -60,14 +60,16 @@ def flowstar_model(automaton: Automaton, settings: Settings | None = None) -> Do
     name.
     """
     crashing = with_crash_mode(automaton)
+    count = len(automaton.jumps)
     return Document(
         f"# {automaton.name}\n# {automaton.description}\n",
-        _body(crashing, settings or Settings()),
-        f"{_initial(automaton)}}}\n{_unsafe(crashing)}",
+        _body(crashing, crashing.jumps[:count], settings or Settings()),
+        "".join(map(_jump, crashing.jumps[count:]))
+        + f"  }}\n{_initial(automaton)}}}\n{_unsafe(crashing)}",
     )
 
 
-def _body(automaton: Automaton, settings: Settings) -> Iterator[str]:
+def _body(automaton: Automaton, jumps: Iterable[Jump], settings: Settings) -> Iterator[str]:
     if not automaton.polynomial:
         raise BadInput(f"{automaton.name}: a Flow* model must be polynomial")
     names = [x.name for x in automaton.variables] + [mode.name for mode in automaton.modes]
@@ -79,8 +81,7 @@ def _body(automaton: Automaton, settings: Settings) -> Iterator[str]:
     yield "  modes\n  {\n"
     yield from map(_mode, automaton.modes)
     yield "  }\n  jumps\n  {\n"
-    yield from map(_jump, automaton.jumps)
-    yield "  }\n"
+    yield from map(_jump, jumps)
 
 
 def _setting(automaton: Automaton, settings: Settings) -> str:

@@ -56,14 +56,29 @@ def automaton_json(automaton: Automaton) -> Document:
     rows = [f"  {_line(key)}: {_line(value)},\n" for key, value in head.items()]
     boxes = automaton.initial
     variables = [_variable(variable, boxes[variable.name]) for variable in automaton.variables]
-    return Document("{\n" + "".join([*rows, *_list("variables", variables)]), _body(automaton))
+    unsafe = _list("unsafe", _unsafe(automaton))
+    return Document(
+        "{\n" + "".join([*rows, *_list("variables", variables), *unsafe]), _body(automaton)
+    )
+
+
+def question_json(automaton: Automaton) -> Document:
+    """Return, as JSON, what is asked of an automaton: ID, start box, unsafe set.
+
+    In the place of what the file of another question says it makes the file of this one.
+    """
+    data = {
+        "id": automaton.name,
+        "description": automaton.description,
+        "initial": {name: list(automaton.initial[name]) for name in (*"sfv", automaton.heading)},
+        "unsafe": _unsafe(automaton),
+    }
+    return Document(_line(data) + "\n")
 
 
 def _body(automaton: Automaton) -> Iterator[str]:
     yield from _list("modes", map(_mode, automaton.modes))
     yield from _list("jumps", map(_jump, automaton.jumps))
-    unsafe = [{"mode": u.mode, "constraints": _all(u.constraints)} for u in automaton.unsafe]
-    yield from _list("unsafe", unsafe)
     bounds = {"duration": automaton.duration, "jumps": automaton.longest}
     yield f'  "longest_run": {_line(bounds)}\n}}\n'
 
@@ -77,6 +92,10 @@ def _list(key: str, items: Iterable[dict[str, Any]]) -> Iterator[str]:
     for i, item in enumerate(items):
         yield f"{',' if i else ''}\n    {_line(item)}"
     yield "\n  ],\n"
+
+
+def _unsafe(automaton: Automaton) -> list[dict[str, Any]]:
+    return [{"mode": u.mode, "constraints": _all(u.constraints)} for u in automaton.unsafe]
 
 
 def _variable(variable: StateVariable, box: tuple[float, float]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from xml.sax.saxutils import escape
 from generator.hybrid.automaton import (
     CLOCK,
     SPARE_TIME,
+    TICK,
     Assignment,
     Automaton,
     Constraint,
@@ -95,7 +96,7 @@ def spaceex_cfg(automaton: Automaton) -> Document:
         "output-variables": '"s, f"',
         "output-format": "GEN",
     }
-    return Document("".join(f"{key} = {value}\n" for key, value in settings.items()), iter(()))
+    return Document("".join(f"{key} = {value}\n" for key, value in settings.items()))
 
 
 def _comment(text: str) -> str:
@@ -167,8 +168,7 @@ def ranges_apart(automaton: Automaton) -> Automaton:
         jumps.append(Jump(jump.source, middle, jump.guard, (*first, restart)))
         over = Constraint(Variable(CLOCK), "==", 0.0)
         jumps.append(Jump(middle, jump.target, (over,), tuple(second)))
-        tick = {CLOCK: constant(1.0)}
-        modes.append(Mode(middle, "values in ranges have been chosen", tick, 0.0))
+        modes.append(Mode(middle, "values in ranges have been chosen", TICK, 0.0))
     if not spread:
         return automaton
     extra = [StateVariable(e, f"what is added to {name}", "m") for e, name in spread.items()]

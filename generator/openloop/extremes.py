@@ -39,7 +39,9 @@ def steering_limit(controller: Controller) -> float:
         with np.errstate(invalid="ignore"):  # a weight of 0 times infinity
             reach = np.abs(layer.weights.astype(float)) @ limit + np.abs(layer.biases)
         reach = np.where(np.isnan(reach), np.inf, reach)
-        limit = np.minimum(reach, 1.0) if layer.activation in {"tanh", "sigmoid"} else reach
+        # |tanh x| <= |x| as well; a sigmoid is 1/2 at 0.
+        most = {"tanh": np.minimum(reach, 1.0), "sigmoid": np.ones_like(reach)}
+        limit = most.get(layer.activation, reach)
     return float(limit[0])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from generator.instances import ControllerFile
 from generator.openloop.part import NETWORKS, Asked, Draw, Part
-from generator.unrolled.questions import small_enough, unrolled_questions
+from generator.unrolled.questions import unrolled_questions
 from racecar.closed_loop import Plant
 
 
@@ -13,10 +13,11 @@ def unrolled_part(
 ) -> Part:
     """Return the unrolled networks of a controller and the questions about them.
 
-    timeout: for one step; longer runs get more. Nothing for large controllers.
+    timeout: for one step; longer runs get more. Nothing for large controllers and for further
+    seeds of a setup: every graph holds the weights anew, a megabyte or two for a controller.
     """
     part = Part()
-    if not small_enough(file.controller):
+    if not file.small or file.further_seed:
         return part
     asked_for = unrolled_questions(file.name, file.controller, plant, draw.start, draw.tag)
     for graphs, questions in asked_for:

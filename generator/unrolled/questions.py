@@ -24,8 +24,6 @@ from racecar.safety import named_property
 STEPS = (*SHORT, LONG)
 #: How many times as long as for one step a tool may take, by the number of steps.
 PATIENCE = {1: 1, 2: 1, 5: 2, 10: 2, 20: 5, 70: 10}
-#: Larger controllers are left out: their graphs would be megabytes, and far out of reach.
-MOST_WEIGHTS = 10_000
 _SAFETY = "clearance"
 
 
@@ -45,11 +43,6 @@ class UnrolledQuestion:
     graph: str
     spec: Spec
     patience: int
-
-
-def small_enough(controller: Controller) -> bool:
-    """Return whether the category is made for a controller."""
-    return sum(layer.weights.size for layer in controller.layers) <= MOST_WEIGHTS
 
 
 def unrolled_questions(

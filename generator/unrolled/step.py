@@ -56,7 +56,7 @@ def sinc_series(limit: float, tolerance: float) -> Series:
     """
     if not limit**2 < 6:
         raise BadInput(f"the car may turn by {2 * limit:.2f} rad in a step; that is too much")
-    terms = 1
+    terms = 2
     while limit ** (2 * terms) / math.factorial(2 * terms + 1) > tolerance:
         terms += 1
     coefficients = tuple((-1) ** i / math.factorial(2 * i + 1) for i in range(terms))

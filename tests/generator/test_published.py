@@ -1,5 +1,7 @@
 """The quick category asks what simulation answers clearly; the committed files are current."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ from click.testing import CliRunner
 from generator.cli import main
 from generator.seeds import file_sha256
 from racecar.closed_loop import State, simulate
+from racecar.controller import load_controller
 from racecar.instance import load_instance, load_instance_controller
 
 CHECKOUT = Path(__file__).parents[2]
@@ -60,11 +63,26 @@ def test_the_committed_files_are_current():
     assert (result.exit_code, result.output) == (0, "all emitted files are current\n")
 
 
+def test_the_documentation_reads_an_instance_without_this_package():
+    text = (CHECKOUT / "docs" / "categories.md").read_text()
+    section = text.partition("## Reading an instance without this package\n")[2].partition("\n##")[
+        0
+    ]
+    code = "\n".join(x[4:] for x in section.splitlines() if x.startswith("    "))
+    end = "\nimport sys; assert not {'racecar', 'generator'} & set(sys.modules)"
+    command = [sys.executable, "-c", code + end]
+    said = subprocess.run(command, cwd=CHECKOUT, check=True, capture_output=True, text=True).stdout
+    *_, steps, steering = said.split()
+    assert said.startswith("TD3_L21_64x64_C1.quick.drive70.clearance [0.77, 0.775]")
+    controller = load_controller(CHECKOUT / "onnx" / "TD3_L21_64x64_C1.onnx")
+    wanted = controller.steering(np.full((1, 21), 2.0))[0]
+    assert (int(steps), float(steering)) == (70, pytest.approx(wanted, abs=1e-6))
+
+
 @pytest.mark.parametrize("name", ["TD3_L21_64x64_C1", "DDPG_L21_64x64_C1"])
 def test_committed_controllers_drive_as_their_records_say(name):
     from generator.nominal import drive_nominal
     from generator.record import ControllerRecord, load_record
-    from racecar.controller import load_controller
     from racecar.experiment import default_field_of_view
 
     record = load_record(CHECKOUT / "onnx" / f"{name}.json", ControllerRecord)

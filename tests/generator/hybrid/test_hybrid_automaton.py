@@ -12,6 +12,7 @@ from generator.hybrid.automaton import (
     Jump,
     Mode,
     StateVariable,
+    Unsafe,
     checked,
     leave,
     with_crash_mode,
@@ -347,10 +348,12 @@ def test_a_flow_that_blows_up_is_an_error():
         {"jumps": (leave(tiny().modes[0], "c"),)},
         {"jumps": (leave(tiny().modes[0], "b", reset=[Assignment("y", constant(0.0))]),)},
         {"modes": (Mode("a", "", {"x": Variable("y")}, 1.0), tiny().modes[1])},
+        {"unsafe": (Unsafe("c", ()),)},
+        {"jumps": (leave(tiny().modes[0], "b", reset=[Assignment("x", constant(0.0))] * 2),)},
     ],
 )
-def test_an_automaton_knows_its_names(changes):
-    with pytest.raises(ValueError, match=r"know|one name"):
+def test_an_automaton_knows_its_names_and_resets_a_variable_once(changes):
+    with pytest.raises(ValueError, match=r"know|one name|twice"):
         tiny(**changes)
 
 

@@ -152,12 +152,27 @@ def test_bad_usage_is_one_line_and_status_2(args, message):
     assert len(result.stderr.splitlines()) == 1
 
 
+def test_bad_input_among_good_leaves_nothing_behind(saved, tmp_path):
+    for second, message in (
+        (tmp_path / "missing.json", "missing.json: cannot be read"),
+        (saved, "its ID, small.test, is that of"),
+    ):
+        result = run(saved, second, "-o", tmp_path / "out")
+        assert result.exit_code == 2
+        assert message in result.stderr
+        assert len(result.stderr.splitlines()) == 1
+        assert not (tmp_path / "out").exists()
+
+
 def test_what_a_format_cannot_say_is_one_line_and_status_2(saved, tmp_path):
     data = json.loads(saved.read_text())
     data["disturbance"] = {"noise": 0.01, "missing": 0, "turn_only": False, "choice": "run"}
     saved.write_text(json.dumps(data))
-    result = run(saved, "--format", "verisig", "-o", tmp_path)
+    # Named second; the first one could be said.
+    forms = ["--format", "json", "--format", "verisig"]
+    result = run(saved, *forms, "-o", tmp_path / "out")
     assert result.exit_code == 2
+    assert not (tmp_path / "out").exists()
     assert result.stderr.startswith("error: small.test: Verisig")
     assert len(result.stderr.splitlines()) == 1
 

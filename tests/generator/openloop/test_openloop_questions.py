@@ -16,7 +16,7 @@ from generator.openloop.questions import open_loop_questions
 from generator.openloop.spec import Box
 from generator.openloop.views import UNIT, nominal_views
 from racecar.closed_loop import State, simulate
-from racecar.controller import save_controller
+from racecar.controller import Controller, Layer, save_controller
 from racecar.safety import named_property
 
 CHECKOUT = Path(__file__).parents[3]
@@ -255,6 +255,19 @@ def test_extremes_are_attained_and_the_limit_holds(controller):
     wild = np.random.default_rng(0).uniform(-100, 100, size=(2000, 21))
     assert np.abs(controller.steering(wild)).max() <= steering_limit(controller)
     assert steering_limit(controller) == pytest.approx(math.radians(15), rel=1e-5)
+
+
+@pytest.mark.parametrize("activation", ["tanh", "sigmoid", "relu"])
+def test_the_limit_holds_for_weak_neurons_too(activation):
+    # A sigmoid is 1/2 where its sum is 0, however small its weights are.
+    layers = (
+        Layer(np.full((3, 2), 1e-3, np.float32), np.zeros(3, np.float32), activation),
+        Layer(np.full((2, 3), 0.01, np.float32), np.zeros(2, np.float32), activation),
+        Layer(np.full((1, 2), 0.1, np.float32), np.zeros(1, np.float32), "linear"),
+    )
+    controller = Controller(layers)
+    scans = np.random.default_rng(1).uniform(0, 5, size=(500, 2))
+    assert np.abs(controller.steering(scans)).max() <= steering_limit(controller)
 
 
 def test_the_gradient_is_that_of_differences(controller):

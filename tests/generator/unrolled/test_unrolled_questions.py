@@ -12,7 +12,7 @@ from generator.instances import ControllerFile, benchmark_plant
 from generator.openloop.part import Draw
 from generator.openloop.printer import VERSIONS, print_spec
 from generator.unrolled.part import unrolled_part
-from generator.unrolled.questions import small_enough, unrolled_questions
+from generator.unrolled.questions import unrolled_questions
 from racecar.closed_loop import State, simulate
 from racecar.safety import named_property
 
@@ -172,10 +172,9 @@ def test_the_official_parser_takes_every_version_2_file(made):
         assert len(query.assertions) >= 9
 
 
-def test_large_controllers_are_left_out(make_controller, tmp_path, add_controller):
-    assert small_enough(make_controller(41))
-    assert not small_enough(make_controller(1300))
-    file = ControllerFile.load(add_controller(tmp_path, "A", rays=1300))
-    part = unrolled_part(file, benchmark_plant(1300, 4.0), "unrolled", 60, Draw())
+@pytest.mark.parametrize(("name", "rays"), [("TD3_L3200_8_C1", 3200), ("TD3_L5_8_C2", 5)])
+def test_large_controllers_and_further_seeds_are_left_out(tmp_path, add_controller, name, rays):
+    file = ControllerFile.load(add_controller(tmp_path, name, rays=rays))
+    part = unrolled_part(file, benchmark_plant(rays, 4.0), "unrolled", 60, Draw())
     assert not part.files
     assert not part.asked
