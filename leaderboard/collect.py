@@ -98,9 +98,11 @@ def make_slugs(names: Iterable[str]) -> dict[str, str]:
 def limits_text(limits: Iterable[Limits]) -> dict[str, str]:
     """Return each limit's meaning with the values it had in a run: one, or least to largest."""
     values: dict[str, set[object]] = {}
-    for one in set(limits):
+    for one in limits:
         for name in Limits.model_fields:
-            values.setdefault(name, set()).add(getattr(one, name))
+            value = getattr(one, name)
+            plain = value is None or isinstance(value, int | float | str)
+            values.setdefault(name, set()).add(value if plain else str(value))
     return {_LIMIT_NAMES.get(name, name): _range(name, found) for name, found in values.items()}
 
 

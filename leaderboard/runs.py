@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
 
-from harness.records import Record, RunInfo
+from harness.records import Record, RunInfo, WitnessCheck
 from harness.store import RunFolder
 from racecar.errors import BadInput
 
@@ -22,6 +22,16 @@ class JudgedRun(RunFolder):
     def records(self) -> list[Record]:
         """Return all records, ordered by category and instance."""
         return self._read
+
+    def check(self, instance: str) -> WitnessCheck | None:
+        """Return the stored check of an instance's witness, if there is one."""
+        if instance not in self._checks:
+            self._checks[instance] = super().check(instance)
+        return self._checks[instance]
+
+    @cached_property
+    def _checks(self) -> dict[str, WitnessCheck | None]:
+        return {}
 
     @cached_property
     def shared(self) -> RunInfo:

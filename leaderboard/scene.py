@@ -1,12 +1,12 @@
 """What the picture of an instance shows, as the script file that its page loads.
 
-Numbers are rounded for drawing: lengths to 0.1 mm, angles to 0.1 mrad.
+Numbers are rounded for drawing: lengths to 0.1 mm, angles to 0.1 mrad. Those of runs are whole
+multiples of these, which are shorter to write.
 """
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -115,9 +115,15 @@ def _trace(trace: Trace) -> dict[str, Any]:
     return data
 
 
-def _numbers(values: Array) -> list[float | None]:
-    rounded = (np.round(values, _DIGITS) + 0.0).tolist()
-    return [value if math.isfinite(value) else None for value in rounded]
+def _numbers(values: Array) -> list[int | None]:
+    """Return multiples of 0.0001; null for what is not finite."""
+    finite = np.isfinite(values)
+    whole: list[int | None] = (
+        np.rint(np.where(finite, values, 0) * 10**_DIGITS).astype(int).tolist()
+    )
+    if finite.all():
+        return whole
+    return [value if there else None for value, there in zip(whole, finite, strict=True)]
 
 
 def _round(value: float) -> float:

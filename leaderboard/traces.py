@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from harness.given import Malformed, check_shape, complaint, given_steps, make_faults
 from racecar.closed_loop import Disturb, Plant, State, Steer, simulate
@@ -89,7 +88,7 @@ def drive(
     margins = np.empty(trace["s"].shape)
     least = np.full(trace["steering"].shape, np.nan)
     far = np.full(len(starts), np.inf)
-    missing: list[NDArray[np.bool_]] = []
+    missing: list[dict[int, list[int]]] = []
     for step in range(steps + 1):
         state = State(*(trace[name][:, step] for name in ("frame", *_COORDINATES)))
         margins[:, step] = plant.margin(safety, state)
@@ -101,7 +100,7 @@ def drive(
     x, y, heading = plant.track.to_global(*(trace[name] for name in ("frame", "s", "f", "theta")))
     traces = []
     for car, end in enumerate(last):
-        gone = [[int(ray) for ray in np.flatnonzero(m[:, car])] for m in missing[:end]]
+        gone = [rays.get(car, []) for rays in missing[:end]]
         start = tuple(float(value) for value in starts[car])
         assert len(start) == 4
         traces.append(
@@ -120,13 +119,16 @@ def drive(
     return traces
 
 
-def _missing(faults: GivenFaults, step: int, state: State, width: float) -> NDArray[np.bool_]:
-    """Return which rays are missing in a step, ``[rays, cars]``."""
+def _missing(faults: GivenFaults, step: int, state: State, width: float) -> dict[int, list[int]]:
+    """Return which rays are missing in a step, of the cars that miss some."""
     if faults.gone is None:
-        return np.zeros((0, len(state)), dtype=bool)
+        return {}
     gone = faults.gone[step] if faults.gone.ndim == 3 else faults.gone
     gone = np.broadcast_to(gone, (len(gone), len(state)))
-    return gone & in_turn(state, width) if faults.turn_only else gone
+    found: dict[int, list[int]] = {}
+    for car, ray in np.argwhere((gone & in_turn(state, width) if faults.turn_only else gone).T):
+        found.setdefault(int(car), []).append(int(ray))
+    return found
 
 
 def sample_faults(

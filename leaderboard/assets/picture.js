@@ -3,6 +3,12 @@
 (function () {
   const { state, make, axis, css, colour } = ClosedLap;
   const { scene } = ClosedLap;
+  // Runs come as whole multiples of 0.1 mm and 0.1 mrad.
+  for (const one of [...scene.traces, scene.witness || {}]) {
+    for (const name of ["x", "y", "heading", "margin", "least", "steering"]) {
+      if (name in one) one[name] = one[name].map((value) => (value === null ? null : value / 1e4));
+    }
+  }
   const byId = (id) => document.getElementById(id);
   const track = ClosedLap.track(byId("track"), scene);
   const runs = scene.witness ? [...scene.traces, scene.witness] : scene.traces;
