@@ -65,7 +65,7 @@ def _pictures(
     note: Callable[[str], None],
 ) -> set[str]:
     """Make the pictures that are not there yet; return the instances that have one."""
-    folders = {run.sha256: run for run in runs}
+    folders = {run.sha256: run for run in runs}  # equal runs have equal witnesses
 
     def witness(result: Result) -> bytes:
         return folders[result.run.sha256].witness(result.record)

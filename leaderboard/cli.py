@@ -53,7 +53,7 @@ def build_command(
     log_bytes: int,
     as_json: bool,
 ) -> int:
-    """Make a site of runs, or folders of runs, in SITE.
+    """Make a site in SITE of runs, of submissions, or of folders of these.
 
     Only files that changed are touched; SITE must be empty or hold a site built before.
     """
@@ -62,8 +62,9 @@ def build_command(
     from leaderboard.runs import find_runs
 
     begun = time.monotonic()
-    options = Options(find_root(benchmarks), certificates, log_bytes)
-    built = build(find_runs(runs), output, options)
+    root = find_root(benchmarks)
+    options = Options(root, certificates, log_bytes)
+    built = build(find_runs(runs, root), output, options)
     for note in built.notes:
         click.echo(f"note: {note}", err=True)
     counts = {"written": built.written, "kept": built.kept, "removed": built.removed}
@@ -128,9 +129,8 @@ def certificates_command(
     from leaderboard.certificates import make_certificates
     from leaderboard.runs import find_runs
 
-    for instance, outcome in make_certificates(
-        find_runs(runs), require_root(benchmarks), output, timeout
-    ):
+    root = require_root(benchmarks)
+    for instance, outcome in make_certificates(find_runs(runs, root), root, output, timeout):
         if as_json:
             print_json({"instance": instance, "outcome": outcome})
         else:

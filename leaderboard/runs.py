@@ -11,6 +11,9 @@ from harness.records import Record, RunInfo, WitnessCheck
 from harness.store import RunFolder
 from racecar.errors import BadInput
 
+#: What `harness submit` writes.
+ENDINGS = (".tar.gz", ".tgz")
+
 
 class JudgedRun(RunFolder):
     """A run folder whose records are read once; nothing is written to it."""
@@ -55,32 +58,51 @@ class JudgedRun(RunFolder):
         return digest.hexdigest()
 
 
-def find_runs(paths: Iterable[Path]) -> list[JudgedRun]:
-    """Return the runs at the given paths, each once; a path may be a folder of runs.
+def find_runs(paths: Iterable[Path], root: Path | None = None) -> list[JudgedRun]:
+    """Return the runs at the given paths, each once.
 
-    Raises BadInput for a path that is neither.
+    A path is a run folder, a submission, or a folder of these. root: the benchmarks folder, against
+    which submissions are verified. Raises BadInput for a path that is none of them.
     """
-    found: dict[Path, JudgedRun] = {}
+    found: dict[Path, list[JudgedRun]] = {}
     for path in paths:
-        for run in _runs_at(path):
-            found.setdefault(run.path.resolve(), run)
-    return list(found.values())
+        for place in _places(path):
+            if place.resolve() not in found:
+                found[place.resolve()] = _open(place, root)
+    return [run for runs in found.values() for run in runs]
 
 
-def _runs_at(path: Path) -> list[JudgedRun]:
+def _places(path: Path) -> list[Path]:
+    """Return where runs lie: the path itself, or those in a folder that is no run."""
+    if path.is_file() or not path.is_dir():
+        return [path]
     try:
-        return [_open(path)]
+        _open_folder(path)
     except BadInput as error:
-        runs = []
-        for folder in sorted(path.iterdir()) if path.is_dir() else []:
-            if folder.is_dir() and not folder.name.startswith("."):
-                runs.append(_open(folder))
-        if not runs:
+        inside = [
+            place
+            for place in sorted(path.iterdir())
+            if not place.name.startswith(".") and (place.is_dir() or _is_submission(place))
+        ]
+        if not inside:
             raise error from None
-        return runs
+        return inside
+    return [path]
 
 
-def _open(path: Path) -> JudgedRun:
+def _is_submission(path: Path) -> bool:
+    return path.is_file() and path.name.endswith(ENDINGS)
+
+
+def _open(path: Path, root: Path | None) -> list[JudgedRun]:
+    if not _is_submission(path):
+        return [_open_folder(path)]
+    from leaderboard.submitted import read_submission  # noqa: PLC0415 (it imports this module)
+
+    return read_submission(path, root)
+
+
+def _open_folder(path: Path) -> JudgedRun:
     run = JudgedRun.open(path)
     assert isinstance(run, JudgedRun)
     _ = run.shared  # a folder that is empty, or whose description is broken, is refused here
