@@ -12,9 +12,8 @@ from pathlib import Path
 
 import click
 
+from harness.command_options import as_path, benchmarks_option, json_option
 from racecar.command_line import DONE, Commands, print_json
-
-_as_path = click.Path(path_type=Path)
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -23,17 +22,12 @@ def main() -> None:
 
 
 @main.command("build")
-@click.argument("runs", nargs=-1, required=True, type=_as_path, metavar="RUN...")
-@click.option("-o", "--output", type=_as_path, required=True, metavar="SITE", help="Its folder.")
-@click.option(
-    "--benchmarks",
-    type=_as_path,
-    metavar="DIR",
-    help="Benchmarks folder; default: ./benchmarks, else the one beside the harness.",
-)
+@click.argument("runs", nargs=-1, required=True, type=as_path, metavar="RUN...")
+@click.option("-o", "--output", type=as_path, required=True, metavar="SITE", help="Its folder.")
+@benchmarks_option
 @click.option(
     "--certificates",
-    type=_as_path,
+    type=as_path,
     metavar="DIR",
     help="Certificates of the reference verifier (ID.h5): their reach tubes are drawn.",
 )
@@ -44,7 +38,7 @@ def main() -> None:
     show_default=True,
     help="So much of each log is shown: its beginning and its end.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option
 def build_command(
     runs: tuple[Path, ...],
     output: Path,
@@ -81,7 +75,7 @@ def build_command(
 
 
 @main.command("serve")
-@click.argument("site", type=_as_path)
+@click.argument("site", type=as_path)
 @click.option("--host", default="127.0.0.1", show_default=True)
 @click.option("--port", type=click.IntRange(0, 65535), default=8000, show_default=True)
 def serve_command(site: Path, host: str, port: int) -> int:
@@ -98,14 +92,9 @@ def serve_command(site: Path, host: str, port: int) -> int:
 
 
 @main.command("certificates")
-@click.argument("runs", nargs=-1, required=True, type=_as_path, metavar="RUN...")
-@click.option("-o", "--output", type=_as_path, required=True, metavar="DIR", help="Their folder.")
-@click.option(
-    "--benchmarks",
-    type=_as_path,
-    metavar="DIR",
-    help="Benchmarks folder; default: ./benchmarks, else the one beside the harness.",
-)
+@click.argument("runs", nargs=-1, required=True, type=as_path, metavar="RUN...")
+@click.option("-o", "--output", type=as_path, required=True, metavar="DIR", help="Their folder.")
+@benchmarks_option
 @click.option(
     "--timeout",
     type=click.FloatRange(0, min_open=True),
@@ -113,7 +102,7 @@ def serve_command(site: Path, host: str, port: int) -> int:
     show_default=True,
     help="Seconds for each instance.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object for each instance.")
+@json_option
 def certificates_command(
     runs: tuple[Path, ...],
     output: Path,

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import ValidationError
 
 from harness.given import Malformed, given_steps
 from harness.records import WitnessOutcome
@@ -106,8 +107,9 @@ def draw(todo: Iterable[Order], note: Callable[[str], None]) -> Iterator[tuple[O
     for group in groups.values():
         try:
             yield from _Group(group, note).draw()
-        except BadInput as error:
-            note(f"{group[0].question.id}: no picture ({error})")
+        except (BadInput, ValidationError) as error:
+            reason = " ".join(str(error).split())
+            note(f"{group[0].question.id} and {len(group) - 1} more: no picture ({reason})")
 
 
 class _Group:

@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -59,22 +58,45 @@ def read_questions(records: Iterable[Record], root: Path | None) -> list[Questio
         first.setdefault(record.instance, record)
         limits[record.instance] = max(limits.get(record.instance, 0.0), record.limits.wall_s)
     ordered = sorted(first.values(), key=lambda record: (record.category, record.instance))
-    return [_read(record, limits[record.instance], root) for record in ordered]
+    files = _Files(root)
+    return [_read(record, limits[record.instance], files) for record in ordered]
 
 
-def _read(record: Record, timeout: float, root: Path | None) -> Question:
+class _Files:
+    """The benchmarks' files; a network is read once, however many instances have it."""
+
+    def __init__(self, root: Path | None) -> None:
+        self._root = root
+        self._hashes: dict[Path, str] = {}
+        self._layers: dict[Path, str | None] = {}
+
+    def same(self, name: str, expected: str) -> Path | None:
+        """Return where a file lies, if it is there and the one that was run."""
+        if self._root is None:
+            return None
+        path = self._root / name
+        if path not in self._hashes:
+            self._hashes[path] = sha256(path) if path.is_file() else ""
+        return path if self._hashes[path] == expected else None
+
+    def layers(self, onnx: Path) -> str | None:
+        """Return the sizes of a controller's hidden layers; None if it is no chain of layers."""
+        if onnx not in self._layers:
+            self._layers[onnx] = _layers(onnx)
+        return self._layers[onnx]
+
+
+def _read(record: Record, timeout: float, files: _Files) -> Question:
     known: dict[str, Any] = {}
     match = _NAME.match(record.instance)
     if match:
         known = {
             "controller": match["controller"], "rays": int(match["rays"]), "layers": match["layers"]
         }  # fmt: skip
-    spec = onnx = None
-    if root is not None:
-        spec = _same(root / record.spec, record.spec_sha256)
-        onnx = _same(root / record.onnx, record.onnx_sha256)
+    spec = files.same(record.spec, record.spec_sha256)
+    onnx = files.same(record.onnx, record.onnx_sha256)
     if onnx is not None:
-        known["layers"] = _layers(onnx) or known.get("layers")
+        known["layers"] = files.layers(onnx) or known.get("layers")
     if spec is not None and onnx is not None and spec.suffix == ".json":
         known |= _json_facts(spec)
     return Question(
@@ -91,13 +113,7 @@ def _read(record: Record, timeout: float, root: Path | None) -> Question:
     )
 
 
-def _same(path: Path, expected: str) -> Path | None:
-    return path if path.is_file() and sha256(path) == expected else None
-
-
-@cache
 def _layers(onnx: Path) -> str | None:
-    """Return the sizes of a controller's hidden layers; None if it is no plain chain of layers."""
     try:
         hidden = load_controller(onnx).layers[:-1]
     except BadInput:

@@ -75,7 +75,7 @@
     return list;
   };
 
-  // A plain table: heads and rows of text.
+  // A plain table: heads, and rows of text or elements.
   ClosedLap.table = function (caption, heads, rows) {
     return make(
       "table",

@@ -47,11 +47,11 @@
 
   const time = (i) => i * scene.period;
 
-  function settings(label, digits, range) {
+  function settings(label, digits) {
     return {
       height: 220,
       padding: [12, 12, 0, 0],
-      scales: { x: { time: false }, y: range ? { range } : {} },
+      scales: { x: { time: false } },
       cursor: { points: { show: false }, y: false },
       axes: [axis("time, s"), axis(label, { size: 58, values: (u, values) => values.map((v) => v.toFixed(digits)) })],
       hooks: {
@@ -96,17 +96,18 @@
   const padded = (values) => times.map((_, i) => (i < values.length ? values[i] : null));
 
   function chart(id, values, label, digits, more) {
-    const others = { stroke: css("--faint"), width: 1, points: { show: false } };
+    // The chosen run is drawn last, above the others.
+    const order = () => [...runs.keys()].sort((i, j) => (i === chosen) - (j === chosen));
+    const line = (i) =>
+      i === chosen ? { stroke: colour(0), width: 2 } : { stroke: css("--faint"), width: 1 };
     return ClosedLap.chart(byId(id), () => ({
       label: `${byId(id).previousElementSibling.textContent}: the chosen run and the others; the table below has the numbers.`,
-      data: [times, ...runs.map((one) => padded(values(one))), ...more().map(padded)],
+      data: [times, ...order().map((i) => padded(values(runs[i]))), ...more().map(padded)],
       settings: {
         ...settings(label, digits),
         series: [
           {},
-          ...runs.map((one, i) =>
-            i === chosen ? { stroke: colour(0), width: 2, points: { show: false } } : { ...others, stroke: css("--faint") },
-          ),
+          ...order().map((i) => ({ ...line(i), points: { show: false } })),
           ...more().map(() => ({ stroke: colour(1), width: 1.5, dash: [5, 3], points: { show: false } })),
         ],
       },

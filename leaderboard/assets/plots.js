@@ -11,6 +11,7 @@
   const HEIGHT = 380;
   const hidden = new Set();
   const solved = (letter) => letter === "s" || letter === "u";
+  const page = (i) => `instances/${encodeURIComponent(rows[i][at.slug] || rows[i][at.id])}.html`;
   const clamp = (time) => Math.max(LEAST, time);
 
   const select = document.getElementById("category");
@@ -142,7 +143,7 @@
     const word = (one, i) => `${{ s: "sat", u: "unsat", k: "unknown", t: "timeout", e: "error", x: "incorrect" }[one.letters[i]]}, ${short(one.times[i])} s`;
     const apart = [...points].sort((p, q) => Math.abs(Math.log(q.x / q.y)) - Math.abs(Math.log(p.x / p.y)));
     fill("scatter", "Where the two differ most", ["Instance", name(across), name(up)],
-      apart.slice(0, 25).map((p) => [rows[p.i][at.id], word(p.a, p.i), word(p.b, p.i)]));
+      apart.slice(0, 25).map((p) => [make("a", { href: page(p.i) }, rows[p.i][at.id]), word(p.a, p.i), word(p.b, p.i)]));
     if (!points.length) return null;
     const values = points.flatMap((p) => [p.x, p.y]);
     const range = [Math.min(...values) / 1.6, Math.max(...values) * 1.6];
@@ -213,7 +214,7 @@
     });
     u.over.addEventListener("click", (event) => {
       const p = nearest(event);
-      if (p) location.href = `instances/${encodeURIComponent(rows[p.i][at.slug] || rows[p.i][at.id])}.html`;
+      if (p) location.href = page(p.i);
     });
   }
 

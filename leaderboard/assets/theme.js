@@ -13,14 +13,15 @@ var ClosedLap = { results: {} };
   }
   if (!modes.includes(mode)) mode = "system";
 
+  const dark = matchMedia("(prefers-color-scheme: dark)");
   function apply() {
-    if (mode === "system") document.documentElement.removeAttribute("data-theme");
-    else document.documentElement.dataset.theme = mode;
+    const system = dark.matches ? "dark" : "light";
+    document.documentElement.dataset.theme = mode === "system" ? system : mode;
     document.dispatchEvent(new Event("themechange"));
   }
 
   apply();
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", apply);
+  dark.addEventListener("change", apply);
   document.addEventListener("DOMContentLoaded", () => {
     const button = document.getElementById("theme");
     const label = () => {

@@ -192,6 +192,9 @@ def test_plots_are_drawn(chromium, site, theme):
         assert rows[2].split() == ["gamma", *"000000"]
         page.get_by_label("Up").select_option("gamma")
         shows(page, "#y=gamma")
+        page.locator("#scatter ~ details summary").click()
+        page.locator("#scatter-table").get_by_role("link", name=CLOSE).click()
+        expect(page.locator("h1")).to_have_text(CLOSE)
     with opened(chromium, site, f"instances/{DRIVE}.html", color_scheme=theme) as page:
         for name in ("margin", "steering"):
             assert painted(page, f"#{name}") > 3
