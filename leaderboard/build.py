@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import gc
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,6 +42,26 @@ class Options:
 
 def build(runs: Sequence[JudgedRun], folder: Path, options: Options) -> Built:
     """Build the site of some runs in a folder; BadInput for what cannot be used."""
+    with _all_kept():
+        return _build(runs, folder, options)
+
+
+@contextmanager
+def _all_kept() -> Iterator[None]:
+    """Stop looking for garbage: nearly all that is read is kept to the end.
+
+    With hundreds of thousands of records the looking takes a good part of the time.
+    """
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
+def _build(runs: Sequence[JudgedRun], folder: Path, options: Options) -> Built:
     files = certificate_files(options.certificates)
     board = collect(runs, options.root, options.longest_log)
     slugs = make_slugs(question.id for question in board.instances)
