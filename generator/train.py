@@ -141,12 +141,13 @@ def _mean(values: list[float]) -> float:
 
 
 def _make_model(setup: Setup, parameters: Hyperparameters, seed: int) -> TD3:
-    env = gymnasium.make(ENVIRONMENT, rays=setup.rays, field_of_view=setup.field_of_view)
+    more = parameters.env_kwargs.model_dump() if parameters.env_kwargs else {}
+    env = gymnasium.make(ENVIRONMENT, rays=setup.rays, field_of_view=setup.field_of_view, **more)
     total = parameters.n_timesteps
     first, falls = parameters.rate()
     arguments = parameters.model_dump(
         exclude_none=True,
-        exclude={"n_timesteps", "policy_kwargs", "learning_rate", "action_noise_std"},
+        exclude={"env_kwargs", "n_timesteps", "policy_kwargs", "learning_rate", "action_noise_std"},
     )
     kinds = parameters.policy_kwargs
     model = {"TD3": TD3, "DDPG": DDPG}[setup.algorithm](

@@ -27,8 +27,14 @@ class PolicyArguments(Arguments):
     )
 
 
+class EnvironmentArguments(Arguments):
+    """Arguments of the training's environment."""
+
+    faults: str = Field(description="a name that the environment knows, such as paper")
+
+
 class Hyperparameters(Arguments):
-    """One block of a hyper-parameter file; names are Stable-Baselines3's."""
+    """One block of a hyper-parameter file; names are Stable-Baselines3's and rl-zoo3's."""
 
     n_timesteps: Positive
     policy_kwargs: PolicyArguments
@@ -44,6 +50,7 @@ class Hyperparameters(Arguments):
     policy_delay: Positive | None = None
     target_policy_noise: float | None = None
     target_noise_clip: float | None = None
+    env_kwargs: EnvironmentArguments | None = None
 
     def rate(self) -> tuple[float, bool]:
         """Return the first learning rate and whether it falls linearly to 0."""

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from generator.cli import main
 from generator.hyperparams import ENVIRONMENT, load_hyperparameters
 from generator.instances import benchmark_plant
-from generator.robust.mine import all_sets, drawn_sets, least_margins, worst_sets
+from generator.robust.mine import worst_sets
 from generator.robust.spoil import draw_spoil
 from generator.robust.teacher import Teacher
 from generator.seeds import CHECKPOINT
@@ -21,6 +21,7 @@ from racecar.closed_loop import State, simulate
 from racecar.controller import load_controller, runtime_session, save_controller, to_model
 from racecar.errors import BadInput
 from racecar.faults import GivenFaults
+from racecar.raysets import all_sets, drawn_sets, least_margins
 from racecar.safety import named_property
 
 torch = pytest.importorskip("torch")
