@@ -16,15 +16,20 @@ from generator.export_command import export
 from generator.hyperparams import Hyperparameters, load_hyperparameters
 from generator.hyperparams.robust import ROBUST
 from generator.instance_command import instance
+from generator.instances import benchmark_plant
 from generator.progress import progress_bar
 from generator.record import SeedRecord
+from generator.scenarios import make_scenarios
 from generator.seeds import Train, Trained, find_controller, publish
 from generator.setups import parse_setup
 from generator.tree import Differences, check_tree, write_tree
 from generator.yaml_network import import_yaml
 from racecar.command_line import CHECK_FAILED, DONE, Commands, print_json
-from racecar.controller import save_controller
+from racecar.controller import save_controller, write_whole
 from racecar.errors import BadInput
+from racecar.experiment import default_field_of_view
+from racecar.faultmodels.find import find_faults
+from racecar.faultmodels.spec import FaultSpec
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 
@@ -154,6 +159,33 @@ def import_yaml_command(file: Path, output: Path, name: str | None, as_json: boo
     else:
         shape = "-".join(str(n) for n in [controller.rays, *neurons])
         click.echo(f"wrote {output}: {shape} network")
+
+
+@main.command()
+@click.argument("faults")
+@click.option("-o", "--output", type=_FILE, required=True, help="HDF5 file to write.")
+@click.option("--runs", type=click.IntRange(1), default=100, show_default=True)
+@click.option("--rays", type=click.IntRange(2), default=21, show_default=True)
+@click.option("--steps", type=click.IntRange(1), default=70, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@_json_option
+def scenarios(
+    faults: str, output: Path, runs: int, rays: int, steps: int, seed: int, as_json: bool
+) -> None:
+    """Write runs with faults drawn from the model FAULTS (a name or a .json file) as HDF5.
+
+    They are the first runs of `racecar simulate --faults FAULTS` with the same seed.
+    """
+    spec = find_faults(faults)
+    if not isinstance(spec, FaultSpec):
+        raise BadInput(f"faults {faults!r}: name a model that `racecar faults` lists, or a file")
+    plant = benchmark_plant(rays, default_field_of_view(rays))
+    content = make_scenarios(spec, plant, runs, steps, seed)
+    write_whole(output, content)
+    if as_json:
+        print_json({"file": str(output), "faults": spec.name, "runs": runs, "seed": seed})
+    else:
+        click.echo(f"wrote {output}: {runs} runs with faults {spec.name}")
 
 
 main.add_command(instance)

@@ -52,9 +52,9 @@ class SpecFaults:
         step: one number, or one for each run.
         """
         noisy, gone = scan, np.zeros(scan.shape, dtype=bool)
-        for key, part, chosen in self._parts(self.spec.parts, hashed(self.seed)[0], None):
+        for key, part, chosen in self.drawn_parts():
             if isinstance(part, Noise | MeasuredNoise):
-                noise = self._noise(key, part, step)
+                noise = self.noise_drawn(key, part, step)
                 noisy = noisy + (noise if chosen is None else noise * chosen)
             else:
                 lost = self._lost(key, part, step, state, scan)
@@ -66,7 +66,7 @@ class SpecFaults:
     def missing(self, step: ArrayLike, state: State, scan: Array) -> NDArray[np.bool_]:
         """Return which rays are missing, ``[rays, runs]``; scan: undisturbed, metres."""
         gone = np.zeros(scan.shape, dtype=bool)
-        for key, part, chosen in self._parts(self.spec.parts, hashed(self.seed)[0], None):
+        for key, part, chosen in self.drawn_parts():
             if not isinstance(part, Noise | MeasuredNoise):
                 lost = self._lost(key, part, step, state, scan)
                 gone |= lost if chosen is None else lost & chosen
@@ -78,10 +78,19 @@ class SpecFaults:
         runs[which] = fresh.runs
         return replace(self, runs=runs, _kept={})
 
+    def drawn_parts(self) -> Iterator[tuple[int, Part, NDArray[np.bool_] | None]]:
+        """Yield each part with its key and the runs that it happens to (None: all)."""
+        return self._parts(self.spec.parts, hashed(self.seed)[0], None)
+
+    def ends_drawn(self, key: int, part: Reflective) -> Array:
+        """Return the ends of a part's mirrors (reflect.segment_ends)."""
+        if key not in self._kept:
+            self._kept[key] = segment_ends(part, self.plant, key, self.runs)
+        return self._kept[key]
+
     def _parts(
         self, parts: Sequence[Part], key: np.uint64, chosen: NDArray[np.bool_] | None
     ) -> Iterator[tuple[int, Part, NDArray[np.bool_] | None]]:
-        """Yield each part with its key and the runs that it happens to (None: all)."""
         for place, part in enumerate(parts):
             mine = hashed(key, place)[0]
             if not isinstance(part, OneOf):
@@ -94,7 +103,8 @@ class SpecFaults:
                 both = these if chosen is None else these & chosen
                 yield from self._parts(choice.parts, hashed(mine, number + 1)[0], both)
 
-    def _noise(self, key: int, part: Noise | MeasuredNoise, step: ArrayLike) -> Array:
+    def noise_drawn(self, key: int, part: Noise | MeasuredNoise, step: ArrayLike) -> Array:
+        """Return the noise of a part, ``[rays, runs]``, metres."""
         rays = np.arange(self.plant.lidar.rays)[:, None]
         first = uniforms(key, step, self.runs, 2 * rays)
         if isinstance(part, Noise):
@@ -111,17 +121,19 @@ class SpecFaults:
         self, key: int, part: Part, step: ArrayLike, state: State, scan: Array
     ) -> NDArray[np.bool_]:
         if isinstance(part, Reflective):
-            if key not in self._kept:
-                self._kept[key] = segment_ends(part, self.plant, key, self.runs)
-            return lost_rays(self.plant, part.incidence, self._kept[key], state, scan)
+            ends = self.ends_drawn(key, part)
+            return lost_rays(self.plant, part.incidence, ends, state, scan)
         assert isinstance(part, _Missing)
-        if part.choice == "step":
-            gone = self._drawn(hashed(key, step), part)
-        else:
-            if key not in self._kept:
-                self._kept[key] = self._drawn(np.array([key], dtype=np.uint64), part)
-            gone = self._kept[key]
+        gone = self.rays_drawn(key, part, step)
         return gone & in_turn(state, self.plant.track.width) if part.turn_only else gone
+
+    def rays_drawn(self, key: int, part: _Missing, step: ArrayLike) -> NDArray[np.bool_]:
+        """Return the rays that a part has drawn, ``[rays, runs]``, wherever they are missing."""
+        if part.choice == "step":
+            return self._drawn(hashed(key, step), part)
+        if key not in self._kept:
+            self._kept[key] = self._drawn(np.array([key], dtype=np.uint64), part)
+        return self._kept[key]
 
     def _drawn(self, keys: NDArray[np.uint64], part: _Missing) -> NDArray[np.bool_]:
         """Draw missing rays, ``[rays, runs]``; keys: one for all runs or one for each."""

@@ -100,6 +100,7 @@ def test_the_hash_changes_with_whatever_the_protocol_says():
 def test_the_published_protocol_does_not_change_unnoticed():
     """Results in the world carry this hash: a change needs a new version, and a new hash here."""
     assert PROTOCOL.version == 1
+    assert PROTOCOL.sha256() == "9d28ce6c0bb0fd8ff45d9ee8d8171b506c10f3683fbe71b3e4249e41a92f3003"
     assert set(PROTOCOL.scored) == set(fault_names())
 
 
