@@ -21,6 +21,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import argparse
 import csv
 import json
+import math
 import time
 from dataclasses import dataclass, field
 from functools import partial
@@ -35,7 +36,7 @@ from matplotlib import pyplot as plt
 
 from generator.hyperparams import AnyHyperparameters, Hyperparameters, load_hyperparameters
 from generator.instances import benchmark_plant
-from generator.seeds import CONTROLLER, CURVE, Trained, try_seed
+from generator.seeds import CONTROLLER, CURVE, RECORD, Trained, try_seed
 from generator.setups import Setup, parse_setup
 from racecar.controller import load_controller, write_whole
 from racecar.experiment import Experiment, RandomStarts, run_experiment
@@ -65,13 +66,10 @@ class Recipe:
 
     def parameters(self) -> AnyHyperparameters:
         found = load_hyperparameters(self.setup.algorithm)
-        changes = dict(self.changes)
+        data = found.model_dump(exclude_none=True) | self.changes
         if self.faults:
-            assert not isinstance(found, Hyperparameters)
-            changes["faults"] = found.faults.model_copy(update=self.faults)
-        return type(found).model_validate(
-            found.model_copy(update=changes).model_dump(exclude_none=True)
-        )
+            data["faults"] |= self.faults
+        return type(found).model_validate(data)
 
 
 _SMALL_NET, _WIDE_NET = "ROBUST_L21_64x64", "ROBUST_L21_128x128"
@@ -89,22 +87,28 @@ RECIPES = {
 }
 
 
-def train_all(name: str, recipe: Recipe, work: Path) -> list[dict[str, Any]]:
-    """Train a recipe's seeds; return rows of their curves, the last of each measured finely."""
+def train_all(name: str, recipe: Recipe, work: Path, done_only: bool) -> list[dict[str, Any]]:
+    """Train a recipe's seeds; return rows of their curves, the last of each measured finely.
+
+    The CPU time is that of this process: of a training that was stopped, what came after.
+    """
     rows: list[dict[str, Any]] = []
     for seed in recipe.seeds:
         folder = work / name.replace(" ", "_") / f"seed_{seed}"
         clock = folder / "cpu_seconds.json"
+        if done_only and not (folder / RECORD).exists():
+            continue
+        fresh = not (folder / RECORD).exists()
         began = time.process_time()
         try_seed(recipe.setup, seed, recipe.parameters(), folder, partial(_train, name))
-        if not clock.exists():
+        if fresh:
             write_whole(clock, json.dumps(time.process_time() - began).encode())
         final = folder / "final.json"
         if not final.exists():
             write_whole(final, json.dumps(measure(folder / CONTROLLER, recipe.setup)).encode())
         with (folder / CURVE).open() as file:
             curve = list(csv.DictReader(file))
-        spent = json.loads(clock.read_text())
+        spent = json.loads(clock.read_text()) if clock.exists() else math.nan
         for point in curve:
             share = point.get("paper_safe_fraction")
             if share is not None:
@@ -158,6 +162,9 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     figure, axes = plt.subplots(figsize=(7.5, 4.5), layout="constrained")
     for index, name in enumerate(dict.fromkeys(row["recipe"] for row in rows)):
         mine = [row for row in rows if row["recipe"] == name]
+        mine = [row for row in mine if math.isfinite(row["cpu_seconds"])]
+        if not mine:
+            continue
         seeds = list(dict.fromkeys(row["seed"] for row in mine))
         curves = [[r for r in mine if r["seed"] == s and r["runs"] != RUNS] for s in seeds]
         color = f"C{index}"
@@ -190,10 +197,11 @@ def main() -> None:
     parser.add_argument("recipes", nargs="*", choices=[[], *RECIPES], metavar="RECIPE")
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--out", type=Path, default=Path("docs/robust_study"))
+    parser.add_argument("--done-only", action="store_true", help="use what FOLDER holds, no more")
     given = parser.parse_args()
     rows = []
     for name in given.recipes or RECIPES:
-        rows += train_all(name, RECIPES[name], given.work)
+        rows += train_all(name, RECIPES[name], given.work, given.done_only)
     fields = list(dict.fromkeys(key for row in rows for key in row))
     with given.out.with_suffix(".csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, fields, lineterminator="\n", restval="")

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from generator.hyperparams import AnyHyperparameters
 from generator.nominal import Nominal
@@ -44,6 +45,18 @@ class Trained:
     curve: list[dict[str, float]]
     libraries: dict[str, str]
     export_error: float
+
+
+def training_settings(
+    setup: Setup, seed: int, parameters: AnyHyperparameters, libraries: dict[str, str]
+) -> dict[str, Any]:
+    """Return what a training was asked to do: a checkpoint of other settings is refused."""
+    return {
+        "setup": setup.family,
+        "seed": seed,
+        "hyperparameters": parameters.model_dump(),
+        "libraries": libraries,
+    }
 
 
 #: Trains one seed, in a folder where it may keep a checkpoint.

@@ -28,7 +28,7 @@ from generator.actor import SCAN_CENTRE, SCAN_SCALE, fold
 from generator.checkpoint import restore_checkpoint, save_checkpoint
 from generator.hyperparams import ENVIRONMENT, Hyperparameters
 from generator.nominal import drive_nominal
-from generator.seeds import CHECKPOINT, Trained
+from generator.seeds import CHECKPOINT, Trained, training_settings
 from generator.setups import Setup
 from racecar.controller import Controller
 
@@ -90,12 +90,7 @@ def train(
     torch.set_num_threads(1)
     total = parameters.n_timesteps
     libraries = {name: version(name) for name in LIBRARIES}
-    settings = {
-        "setup": setup.family,
-        "seed": seed,
-        "hyperparameters": parameters.model_dump(),
-        "libraries": libraries,
-    }
+    settings = training_settings(setup, seed, parameters, libraries)
     model, curve = _make_model(setup, parameters, seed), []
     checkpoint = work / CHECKPOINT
     if checkpoint.exists():

@@ -16,7 +16,6 @@ from typing import Literal
 
 import numpy as np
 
-from racecar.bicycle import Bicycle
 from racecar.closed_loop import Plant, Steer
 from racecar.data import Data
 from racecar.experiment import (
@@ -25,17 +24,15 @@ from racecar.experiment import (
     Experiment,
     Outcome,
     RandomStarts,
-    default_field_of_view,
+    paper_plant,
     run_experiment,
 )
 from racecar.faultmodels.named import named_faults
 from racecar.faults import FAULTS
-from racecar.lidar import Lidar
 from racecar.polygon import Array
 from racecar.raysets import all_sets, least_margins
 from racecar.safety import named_property
 from racecar.summary import wilson_interval
-from racecar.track import square_track
 
 
 @dataclass(frozen=True)
@@ -166,7 +163,7 @@ def evaluate(
     runs: of each scenario instead of the protocol's (the result is then not official);
     progress: called with numbers of runs done.
     """
-    plant = Plant(square_track(), Bicycle(), Lidar(rays, default_field_of_view(rays)))
+    plant = paper_plant(rays)
     safety = named_property("clearance", plant.track)
     count = runs or protocol.runs
     nominal = Experiment(plant, safety, EvenStarts(), FAULTS["none"], protocol.nominal_runs)

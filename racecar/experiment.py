@@ -16,13 +16,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from racecar.bicycle import Bicycle
 from racecar.closed_loop import Plant, Runs, State, Steer, simulate
 from racecar.errors import BadInput
 from racecar.faultmodels.draw import SpecFaults, spec_faults
 from racecar.faultmodels.spec import FaultSpec
 from racecar.faults import FAULTS, DrawnFaults, Faults
+from racecar.lidar import Lidar
 from racecar.polygon import Array
 from racecar.safety import Property
+from racecar.track import square_track
 
 #: Runs per block. Changing it changes what every seed means.
 BLOCK = 1024
@@ -276,3 +279,8 @@ def _join(parts: list[Outcome]) -> Outcome:
 def default_field_of_view(rays: int) -> float:
     """Return the field of view (rad) of the paper's scans: 230 degrees, the full scan 270."""
     return math.radians(270 if rays == FULL_SCAN_RAYS else 230)
+
+
+def paper_plant(rays: int) -> Plant:
+    """Return the paper's track and car with a LiDAR of so many rays and their field of view."""
+    return Plant(square_track(), Bicycle(), Lidar(rays, default_field_of_view(rays)))

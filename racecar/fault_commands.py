@@ -149,11 +149,11 @@ def _print_table2(rows: dict[str, list[Entry]], environments: tuple[str, ...]) -
     from rich.table import Table  # noqa: PLC0415
 
     runs = next(iter(rows.values()))[0].runs
-    title = f"safe outcomes: the paper's of 10, the model's in % of {runs:,} runs (95 % interval)"
+    title = f"safe outcomes: the paper of 10, the model in % of {runs:,} runs (95 % interval)"
     table = Table(title=title)
     table.add_column("controller", no_wrap=True)
     for environment in environments:
-        table.add_column("paper", justify="right")
+        table.add_column("paper", justify="right", no_wrap=True)
         table.add_column(environment, justify="right", no_wrap=True)
     for name, entries in rows.items():
         cells = []

@@ -8,24 +8,20 @@ from typing import Any
 import click
 from matplotlib.figure import Figure
 
-from racecar.bicycle import Bicycle
-from racecar.closed_loop import Plant
 from racecar.controller import RuntimeSteer
 from racecar.experiment import (
     EvenStarts,
     Experiment,
     RandomStarts,
-    default_field_of_view,
+    paper_plant,
     run_experiment,
 )
 from racecar.faultmodels.named import named_faults
 from racecar.faults import FAULTS
-from racecar.lidar import Lidar
 from racecar.plot_figures import Panel, draw_controllers, draw_scans
 from racecar.plot_scan import take_scan
 from racecar.safety import named_property
 from racecar.table2 import ENVIRONMENTS
-from racecar.track import square_track
 
 #: Where Figure 3's scans are taken: where the car begins to turn (m, m, rad).
 _POSE = (0.6, 1.8, 0.0)
@@ -45,7 +41,7 @@ def draw_figure(
     panels, safe = [], {}
     for file in controllers:
         steer = RuntimeSteer(file)
-        plant = _plant(steer.rays)
+        plant = paper_plant(steer.rays)
         safety = named_property("clearance", plant.track)
         faults = FAULTS["none"] if number == "4" else FAULTS["paper"]
         starts = EvenStarts() if number == "4" else RandomStarts()
@@ -61,7 +57,7 @@ def draw_figure(
 
 def _scans(controllers: tuple[Path, ...], seed: int) -> tuple[Figure, dict[str, Any], str]:
     steer = RuntimeSteer(controllers[0]) if controllers else None
-    plant = _plant(steer.rays if steer else 21)
+    plant = paper_plant(steer.rays if steer else 21)
     scans = {
         f"{name} environment": take_scan(plant, *_POSE, named_faults(name), seed, steer)
         for name in ENVIRONMENTS
@@ -74,7 +70,3 @@ def _scans(controllers: tuple[Path, ...], seed: int) -> tuple[Figure, dict[str, 
         "missing": {name: int(scan.missing.sum()) for name, scan in scans.items()},
     }
     return draw_scans(plant, scans, title), record, title
-
-
-def _plant(rays: int) -> Plant:
-    return Plant(square_track(), Bicycle(), Lidar(rays, default_field_of_view(rays)))

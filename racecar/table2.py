@@ -8,14 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from racecar.bicycle import Bicycle
-from racecar.closed_loop import Plant, Steer
-from racecar.experiment import Experiment, RandomStarts, default_field_of_view, run_experiment
+from racecar.closed_loop import Steer
+from racecar.experiment import Experiment, RandomStarts, paper_plant, run_experiment
 from racecar.faultmodels.named import named_faults
-from racecar.lidar import Lidar
 from racecar.safety import named_property
 from racecar.summary import wilson_interval
-from racecar.track import square_track
 
 ENVIRONMENTS = ("modified", "unmodified")
 
@@ -53,7 +50,7 @@ def table_row(steer: Steer, rays: int, name: str, runs: int, seed: int) -> list[
 
     Safe is what the paper calls so: no crash seen at a control instant.
     """
-    plant = Plant(square_track(), Bicycle(), Lidar(rays, default_field_of_view(rays)))
+    plant = paper_plant(rays)
     safety = named_property("clearance", plant.track)
     row = []
     for place, environment in enumerate(ENVIRONMENTS):

@@ -21,7 +21,7 @@ from generator.instances import benchmark_plant
 from generator.nominal import drive_nominal
 from generator.robust.dagger import Dagger
 from generator.robust.student import Student
-from generator.seeds import CHECKPOINT, Trained
+from generator.seeds import CHECKPOINT, Trained, training_settings
 from generator.setups import Setup
 from racecar.closed_loop import Plant
 from racecar.controller import Controller, write_whole
@@ -55,12 +55,7 @@ def train(
     """
     torch.set_num_threads(1)
     libraries = {name: version(name) for name in LIBRARIES}
-    settings = {
-        "setup": setup.family,
-        "seed": seed,
-        "hyperparameters": parameters.model_dump(),
-        "libraries": libraries,
-    }
+    settings = training_settings(setup, seed, parameters, libraries)
     plant = benchmark_plant(setup.rays, setup.field_of_view)
     dagger, curve = Dagger(plant, setup.hidden, parameters, seed), []
     checkpoint = work / CHECKPOINT
