@@ -13,17 +13,23 @@ from rich.table import Table
 from generator.categories import CATEGORIES
 from generator.emit import build, category_folders, load_controllers
 from generator.export_command import export
-from generator.hyperparams import load_hyperparameters
+from generator.hyperparams import Hyperparameters, load_hyperparameters
+from generator.hyperparams.robust import ROBUST
 from generator.instance_command import instance
+from generator.instances import benchmark_plant
 from generator.progress import progress_bar
 from generator.record import SeedRecord
-from generator.seeds import Train, find_controller, publish
+from generator.scenarios import make_scenarios
+from generator.seeds import Train, Trained, find_controller, publish
 from generator.setups import parse_setup
 from generator.tree import Differences, check_tree, write_tree
 from generator.yaml_network import import_yaml
 from racecar.command_line import CHECK_FAILED, DONE, Commands, print_json
-from racecar.controller import save_controller
+from racecar.controller import save_controller, write_whole
 from racecar.errors import BadInput
+from racecar.experiment import default_field_of_view
+from racecar.faultmodels.find import find_faults
+from racecar.faultmodels.spec import FaultSpec
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 
@@ -47,21 +53,37 @@ def main() -> None:
     show_default=True,
     help="For each seed's checkpoint and result; run again to go on where it stopped.",
 )
+@click.option(
+    "--hyperparameters",
+    "own",
+    type=_FILE,
+    help="A file of one's own, laid out like generator/hyperparams/*.yml.",
+)
 @click.option("--timesteps", type=click.IntRange(1), help="Steps to train, instead of the file's.")
 @click.option("--max-seeds", type=click.IntRange(1), default=20, show_default=True)
 @_json_option
 def train(
-    name: str, out: Path, work: Path, timesteps: int | None, max_seeds: int, as_json: bool
+    name: str,
+    out: Path,
+    work: Path,
+    own: Path | None,
+    timesteps: int | None,
+    max_seeds: int,
+    as_json: bool,
 ) -> int:
-    """Train the controller NAME, such as TD3_L21_64x64_C1.
+    """Train the controller NAME, such as TD3_L21_64x64_C1 or ROBUST_L21_64x64_C1.
 
     Seeds 1, 2, 3, ... are trained until as many as NAME's index have given a controller that
     finishes the turn in nominal simulation. It is kept whether it is safe or not; its record
     says which.
     """
     setup = parse_setup(name)
-    parameters = load_hyperparameters(setup.algorithm)
+    parameters = load_hyperparameters(setup.algorithm, own)
     if timesteps is not None:
+        if not isinstance(parameters, Hyperparameters):
+            raise click.UsageError(
+                f"--timesteps means nothing for {ROBUST}; set rounds with --hyperparameters"
+            )
         parameters = parameters.model_copy(update={"n_timesteps": timesteps})
 
     def tell(record: SeedRecord) -> None:
@@ -74,7 +96,9 @@ def train(
             )
 
     with progress_bar(as_json) as report:
-        train_seed = _trainer(lambda seed, *done: report(f"{setup.family} seed {seed}", *done))
+        train_seed = _trainer(
+            setup.algorithm, lambda seed, *done: report(f"{setup.family} seed {seed}", *done)
+        )
         found = find_controller(setup, parameters, work, max_seeds, train_seed, tell)
     if found is None:
         click.echo(
@@ -92,13 +116,17 @@ def train(
     return DONE
 
 
-def _trainer(report: Callable[[int, int, int], None]) -> Train:
+def _trainer(algorithm: str, report: Callable[[int, int, int], None]) -> Train:
     """Return the function that trains a seed; torch is imported here and not before.
 
     report(seed, done, total) is called as steps are done.
     """
+    train_seed: Callable[..., Trained]
     try:
-        from generator.train import train as train_seed  # noqa: PLC0415
+        if algorithm == ROBUST:
+            from generator.robust.train import train as train_seed  # noqa: PLC0415
+        else:
+            from generator.train import train as train_seed  # noqa: PLC0415
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] not in ("torch", "stable_baselines3"):
             raise
@@ -131,6 +159,33 @@ def import_yaml_command(file: Path, output: Path, name: str | None, as_json: boo
     else:
         shape = "-".join(str(n) for n in [controller.rays, *neurons])
         click.echo(f"wrote {output}: {shape} network")
+
+
+@main.command()
+@click.argument("faults")
+@click.option("-o", "--output", type=_FILE, required=True, help="HDF5 file to write.")
+@click.option("--runs", type=click.IntRange(1), default=100, show_default=True)
+@click.option("--rays", type=click.IntRange(2), default=21, show_default=True)
+@click.option("--steps", type=click.IntRange(1), default=70, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@_json_option
+def scenarios(
+    faults: str, output: Path, runs: int, rays: int, steps: int, seed: int, as_json: bool
+) -> None:
+    """Write runs with faults drawn from the model FAULTS (a name or a .json file) as HDF5.
+
+    They are the first runs of `racecar simulate --faults FAULTS` with the same seed.
+    """
+    spec = find_faults(faults)
+    if not isinstance(spec, FaultSpec):
+        raise BadInput(f"faults {faults!r}: name a model that `racecar faults` lists, or a file")
+    plant = benchmark_plant(rays, default_field_of_view(rays))
+    content = make_scenarios(spec, plant, runs, steps, seed)
+    write_whole(output, content)
+    if as_json:
+        print_json({"file": str(output), "faults": spec.name, "runs": runs, "seed": seed})
+    else:
+        click.echo(f"wrote {output}: {runs} runs with faults {spec.name}")
 
 
 main.add_command(instance)

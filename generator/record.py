@@ -8,7 +8,7 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from generator.hyperparams import Hyperparameters
+from generator.hyperparams import AnyHyperparameters
 from generator.nominal import Nominal
 from racecar.controller import write_whole
 from racecar.errors import BadInput
@@ -33,7 +33,7 @@ class SeedRecord(_Record):
     seed: int
     sha256: Sha256
     nominal: Nominal
-    hyperparameters: Hyperparameters
+    hyperparameters: AnyHyperparameters
     libraries: dict[str, str]
     python: str
     export_error: float

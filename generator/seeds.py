@@ -15,8 +15,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from generator.hyperparams import Hyperparameters
+from generator.hyperparams import AnyHyperparameters
 from generator.nominal import Nominal
 from generator.record import ControllerRecord, SeedRecord, Tried, load_record, save_record
 from generator.setups import Setup
@@ -46,13 +47,25 @@ class Trained:
     export_error: float
 
 
+def training_settings(
+    setup: Setup, seed: int, parameters: AnyHyperparameters, libraries: dict[str, str]
+) -> dict[str, Any]:
+    """Return what a training was asked to do: a checkpoint of other settings is refused."""
+    return {
+        "setup": setup.family,
+        "seed": seed,
+        "hyperparameters": parameters.model_dump(),
+        "libraries": libraries,
+    }
+
+
 #: Trains one seed, in a folder where it may keep a checkpoint.
-Train = Callable[[Setup, int, Hyperparameters, Path], Trained]
+Train = Callable[[Setup, int, AnyHyperparameters, Path], Trained]
 
 
 def find_controller(
     setup: Setup,
-    parameters: Hyperparameters,
+    parameters: AnyHyperparameters,
     work: Path,
     max_seeds: int,
     train: Train,
@@ -83,7 +96,7 @@ def find_controller(
 
 
 def try_seed(
-    setup: Setup, seed: int, parameters: Hyperparameters, folder: Path, train: Train
+    setup: Setup, seed: int, parameters: AnyHyperparameters, folder: Path, train: Train
 ) -> SeedRecord:
     """Return what a seed gave: from its folder, or by training (from a checkpoint there)."""
     with _only_user(folder):
@@ -117,7 +130,7 @@ def publish(record: ControllerRecord, folder: Path, out: Path) -> list[Path]:
 
 
 def _keep(
-    setup: Setup, seed: int, parameters: Hyperparameters, trained: Trained, folder: Path
+    setup: Setup, seed: int, parameters: AnyHyperparameters, trained: Trained, folder: Path
 ) -> SeedRecord:
     save_controller(trained.controller, folder / CONTROLLER)
     write_whole(folder / CURVE, format_curve(trained.curve).encode())
@@ -135,7 +148,7 @@ def _keep(
     return record
 
 
-def _check_same(record: SeedRecord, parameters: Hyperparameters, folder: Path) -> None:
+def _check_same(record: SeedRecord, parameters: AnyHyperparameters, folder: Path) -> None:
     if record.hyperparameters != parameters:
         raise BadInput(
             f"{folder}: it was trained with other hyper-parameters or timesteps; "

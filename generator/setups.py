@@ -1,7 +1,8 @@
 """Setups: what a controller's name says about how it was trained.
 
 ``TD3_L21_64x64_C1`` is the paper's form: algorithm, LiDAR rays, neurons per hidden layer,
-index of the controller (the first, second, ... seed that finished the turn).
+index of the controller (the first, second, ... seed that finished the turn). ROBUST is not
+reinforcement learning: it learns from a teacher (generator.robust).
 """
 
 from __future__ import annotations
@@ -9,10 +10,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from generator.hyperparams.robust import ROBUST
 from racecar.errors import BadInput
 from racecar.experiment import default_field_of_view
 
-ALGORITHMS = ("DDPG", "TD3")
+ALGORITHMS = ("DDPG", "TD3", ROBUST)
 _NAME = re.compile(
     r"(?P<algorithm>[A-Z0-9]+)_L(?P<rays>\d+)_(?P<hidden>\d+(x\d+)*)_C(?P<index>\d+)"
 )
@@ -22,7 +24,7 @@ _NAME = re.compile(
 class Setup:
     """One controller to train.
 
-    algorithm: "DDPG" or "TD3"; rays: of the LiDAR; hidden: neurons per hidden layer; index:
+    algorithm: one of ALGORITHMS; rays: of the LiDAR; hidden: neurons per hidden layer; index:
     counts the seeds of a setup that finished the turn, from 1.
     """
 
@@ -53,7 +55,7 @@ def parse_setup(name: str) -> Setup:
     if not match or match["algorithm"] not in ALGORITHMS:
         raise BadInput(
             f"setup {name!r} is unknown; write it like TD3_L21_64x64_C1 "
-            f"(algorithm {' or '.join(ALGORITHMS)}, rays, hidden layers, index)"
+            f"(algorithm, one of {', '.join(ALGORITHMS)}, rays, hidden layers, index)"
         )
     hidden = tuple(int(x) for x in match["hidden"].split("x"))
     rays, index = int(match["rays"]), int(match["index"])

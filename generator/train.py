@@ -28,7 +28,7 @@ from generator.actor import SCAN_CENTRE, SCAN_SCALE, fold
 from generator.checkpoint import restore_checkpoint, save_checkpoint
 from generator.hyperparams import ENVIRONMENT, Hyperparameters
 from generator.nominal import drive_nominal
-from generator.seeds import CHECKPOINT, Trained
+from generator.seeds import CHECKPOINT, Trained, training_settings
 from generator.setups import Setup
 from racecar.controller import Controller
 
@@ -90,12 +90,7 @@ def train(
     torch.set_num_threads(1)
     total = parameters.n_timesteps
     libraries = {name: version(name) for name in LIBRARIES}
-    settings = {
-        "setup": setup.family,
-        "seed": seed,
-        "hyperparameters": parameters.model_dump(),
-        "libraries": libraries,
-    }
+    settings = training_settings(setup, seed, parameters, libraries)
     model, curve = _make_model(setup, parameters, seed), []
     checkpoint = work / CHECKPOINT
     if checkpoint.exists():
@@ -141,12 +136,13 @@ def _mean(values: list[float]) -> float:
 
 
 def _make_model(setup: Setup, parameters: Hyperparameters, seed: int) -> TD3:
-    env = gymnasium.make(ENVIRONMENT, rays=setup.rays, field_of_view=setup.field_of_view)
+    more = parameters.env_kwargs.model_dump() if parameters.env_kwargs else {}
+    env = gymnasium.make(ENVIRONMENT, rays=setup.rays, field_of_view=setup.field_of_view, **more)
     total = parameters.n_timesteps
     first, falls = parameters.rate()
     arguments = parameters.model_dump(
         exclude_none=True,
-        exclude={"n_timesteps", "policy_kwargs", "learning_rate", "action_noise_std"},
+        exclude={"env_kwargs", "n_timesteps", "policy_kwargs", "learning_rate", "action_noise_std"},
     )
     kinds = parameters.policy_kwargs
     model = {"TD3": TD3, "DDPG": DDPG}[setup.algorithm](

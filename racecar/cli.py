@@ -1,12 +1,10 @@
-"""The commands ``racecar simulate`` and ``racecar plot``."""
+"""The command ``racecar``: ``simulate`` and ``plot``; the others are in fault_commands."""
 
 from __future__ import annotations
 
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +14,10 @@ from click.core import ParameterSource
 
 from racecar.command_line import Commands, print_json
 from racecar.experiment import Experiment, run_experiment
-from racecar.options import Setup, describe_faults, record_setup, setup_options
+from racecar.fault_commands import evaluate, faults, table2
+from racecar.faultmodels.spec import FaultSpec
+from racecar.options import Setup, describe_faults, record_faults, record_setup, setup_options
+from racecar.progress import run_progress
 from racecar.summary import Summary, summarise
 
 if TYPE_CHECKING:
@@ -26,7 +27,11 @@ if TYPE_CHECKING:
 @click.group(cls=Commands)
 @click.version_option(package_name="closedlap")
 def main() -> None:
-    """Simulate and plot the F1/10 car of Ivanov et al. (HSCC 2020)."""
+    """Simulate, plot and score the F1/10 car of Ivanov et al. (HSCC 2020)."""
+
+
+for _command in (faults, evaluate, table2):
+    main.add_command(_command)
 
 
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
@@ -48,7 +53,7 @@ def simulate(starts: int, as_json: bool, **options: Any) -> None:
     setup = Setup(**options)
     steer = setup.open_controller()
     experiment = setup.experiment(steer.rays, starts)
-    with _progress(starts, quiet=as_json) as progress:
+    with run_progress(starts, quiet=as_json) as progress:
         began = time.perf_counter()
         outcome = run_experiment(experiment, steer, progress=progress)
         speed = outcome.steps_driven / (time.perf_counter() - began)
@@ -61,6 +66,12 @@ def simulate(starts: int, as_json: bool, **options: Any) -> None:
 
 
 @main.command()
+@click.argument("controllers", type=click.Path(path_type=Path, dir_okay=False), nargs=-1)
+@click.option(
+    "--figure",
+    type=click.Choice(["3", "4", "5"]),
+    help="Draw this figure of the paper for CONTROLLERS (ONNX files); 3 needs none.",
+)
 @setup_options
 @click.option(
     "--starts",
@@ -89,6 +100,8 @@ def simulate(starts: int, as_json: bool, **options: Any) -> None:
 @click.pass_context
 def plot(
     context: click.Context,
+    controllers: tuple[Path, ...],
+    figure: str | None,
     starts: int,
     whole_track: bool,
     pose: tuple[float, float, float] | None,
@@ -100,24 +113,39 @@ def plot(
 
     The runs are those of `racecar simulate` with the same options, drawn as in Figures 4 and
     5 of the paper. With --scan the picture is one as Figure 3, and --onnx may be left out.
+    With --figure the paper's own figure is drawn, for controllers of your choice.
     """
     from racecar.figure import check_format, save_figure  # noqa: PLC0415 (slow to import)
+    from racecar.figure_command import draw_figure  # noqa: PLC0415
 
     check_format(output)
     setup = Setup(**options)
-    if pose is None:
-        figure, record, message = _plot_traces(setup, starts, whole_track, as_json)
+    if figure is not None:
+        _refuse(context, "--figure", keep=("starts", "seed"))
+        drawn, record, message = draw_figure(figure, controllers, starts, setup.seed)
+    elif controllers:
+        raise click.UsageError("controllers are drawn with --figure; give a single one as --onnx")
+    elif pose is None:
+        drawn, record, message = _plot_traces(setup, starts, whole_track, as_json)
     else:
-        for name in ("starts", "start", "steps", "property_name", "whole_track", "slip"):
-            if context.get_parameter_source(name) == ParameterSource.COMMANDLINE:
-                option = name.removesuffix("_name").replace("_", "-")
-                raise click.UsageError(f"--{option} means nothing with --scan; leave it out")
-        figure, record, message = _plot_scan(setup, pose)
-    save_figure(figure, output)
+        _refuse(
+            context, "--scan", keep=("onnx", "rays", "fov", "faults", "noise", "missing", "seed")
+        )
+        drawn, record, message = _plot_scan(setup, pose)
+    save_figure(drawn, output)
     if as_json:
         print_json({"file": str(output)} | record)
     else:
         click.echo(f"{output}: {message}")
+
+
+def _refuse(context: click.Context, why: str, keep: tuple[str, ...]) -> None:
+    """Raise UsageError for an option that means nothing with ``why``, unless it is to keep."""
+    kept = {*keep, why.removeprefix("--"), "output", "as_json", "controllers", "pose"}
+    for name in context.params:
+        if name not in kept and context.get_parameter_source(name) == ParameterSource.COMMANDLINE:
+            option = name.removesuffix("_name").replace("_", "-")
+            raise click.UsageError(f"--{option} means nothing with {why}; leave it out")
 
 
 #: A figure, its JSON record, and one line about it.
@@ -129,7 +157,7 @@ def _plot_traces(setup: Setup, starts: int, whole_track: bool, quiet: bool) -> _
 
     steer = setup.open_controller()
     experiment = setup.experiment(steer.rays, starts)
-    with _progress(starts, quiet) as progress:
+    with run_progress(starts, quiet) as progress:
         outcome = run_experiment(experiment, steer, record=True, progress=progress)
     summary = summarise(outcome)
     share = f"{summary.safe} of {starts} runs safe ({100 * summary.safe_fraction:.3g} %)"
@@ -155,10 +183,13 @@ def _plot_scan(setup: Setup, pose: tuple[float, float, float]) -> _Plotted:
     scan = take_scan(plant, s, f, theta, faults, setup.seed, steer)
     missing = [i for i, gone in enumerate(scan.missing) if gone]
     parts = [f"{rays} rays over {math.degrees(plant.lidar.field_of_view):g}°"]
-    if faults.missing:
-        parts.append(f"{len(missing) or 'none'} missing here")
-    if faults.noise:
-        parts.append(f"noise up to {faults.noise:g} m")
+    if isinstance(faults, FaultSpec):
+        parts.append(f"faults {faults.name}, {len(missing) or 'none'} missing here")
+    else:
+        if faults.missing:
+            parts.append(f"{len(missing) or 'none'} missing here")
+        if faults.noise:
+            parts.append(f"noise up to {faults.noise:g} m")
     if scan.steering is not None:
         angle = math.degrees(scan.steering)
         side = "left" if angle > 0 else "right"
@@ -179,7 +210,7 @@ def _plot_scan(setup: Setup, pose: tuple[float, float, float]) -> _Plotted:
         "steering": scan.steering,
         "rays": rays,
         "field_of_view": plant.lidar.field_of_view,
-        "noise": faults.noise,
+        "noise": record_faults(faults)["noise"],
         "seed": setup.seed,
     }
     return figure, record, f"scan of {rays} rays, {len(missing)} missing"
@@ -213,17 +244,3 @@ def _print_summary(name: str, experiment: Experiment, summary: Summary, speed: f
     ):
         table.add_row(*row)
     Console(file=sys.stdout).print(table)
-
-
-@contextmanager
-def _progress(runs: int, quiet: bool) -> Iterator[Callable[[int], None] | None]:
-    """Show a progress bar on a terminal; give the function that moves it on."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console  # noqa: PLC0415 (slow to import)
-    from rich.progress import Progress  # noqa: PLC0415
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("runs", total=runs)
-        yield lambda done: bar.advance(task, done)

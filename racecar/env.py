@@ -20,7 +20,11 @@ from numpy.typing import NDArray
 from racecar.bicycle import Bicycle
 from racecar.closed_loop import Plant, State
 from racecar.errors import BadInput
-from racecar.faults import FAULTS, DrawnFaults, Faults
+from racecar.faultmodels.draw import SpecFaults, spec_faults
+from racecar.faultmodels.find import find_faults
+from racecar.faultmodels.named import fault_names
+from racecar.faultmodels.spec import FaultSpec
+from racecar.faults import DrawnFaults, Faults
 from racecar.lidar import Lidar
 from racecar.safety import named_property
 from racecar.track import Track, square_track
@@ -31,6 +35,18 @@ START_SPREAD, START_HEADING, START_AHEAD = 0.2, 0.3, 10.0
 STEP_REWARD, STEERING_COST, CRASH_REWARD = 10.0, 0.05, -100.0
 
 
+AnyFaults = DrawnFaults | SpecFaults
+
+
+def renewed(faults: AnyFaults, which: NDArray[np.bool_], fresh: AnyFaults) -> AnyFaults:
+    """Return the faults with those of the cars ``which`` (mask) replaced by fresh ones."""
+    if isinstance(faults, SpecFaults) and isinstance(fresh, SpecFaults):
+        return faults.renewed(which, fresh)
+    assert isinstance(faults, DrawnFaults)
+    assert isinstance(fresh, DrawnFaults)
+    return faults.renewed(which, fresh)
+
+
 class _Cars:
     """A batch of cars in training: starts, faults, rewards, ends of episodes."""
 
@@ -38,14 +54,12 @@ class _Cars:
         self,
         rays: int,
         field_of_view: float,
-        faults: str | Faults,
+        faults: str | Faults | FaultSpec,
         slip: bool,
         track: Track | None,
     ) -> None:
         if isinstance(faults, str):
-            if faults not in FAULTS:
-                raise BadInput(f"faults {faults!r} are unknown; choose from {', '.join(FAULTS)}")
-            faults = FAULTS[faults]
+            faults = find_faults(faults)
         self.faults = faults
         lidar = Lidar(rays, field_of_view)
         self.plant = Plant(track or square_track(), Bicycle(slip=slip), lidar)
@@ -64,7 +78,7 @@ class _Cars:
 
     def start(
         self, count: int, random: np.random.Generator, options: dict[str, Any] | None = None
-    ) -> tuple[State, DrawnFaults]:
+    ) -> tuple[State, AnyFaults]:
         """Draw starts and the faults of the runs; options set some of the state instead."""
         drawn = {
             "s": self.centre + random.uniform(-START_SPREAD, START_SPREAD, count),
@@ -87,12 +101,18 @@ class _Cars:
             raise BadInput("reset: a start is within 0.3 m of a wall; move s and f")
         if not ((state.v >= 0) & np.isfinite(state.v) & np.isfinite(state.theta)).all():
             raise BadInput("reset: v must be 0 or more, theta a number")
+        if isinstance(self.faults, FaultSpec):
+            # Numbers of runs that no other episode has had.
+            numbers = random.integers(2**63, size=count)
+            return state, spec_faults(self.faults, self.plant, numbers, seed=0)
         track, lidar = self.plant.track, self.plant.lidar
         return state, self.faults.draw(lidar.rays, count, track.width, lidar.range, random)
 
-    def observe(self, state: State, faults: DrawnFaults) -> NDArray[np.float32]:
-        """Return disturbed scans, ``[cars, rays]``."""
-        return faults(0, state, self.plant.scan_rows(state)).T.astype(np.float32)
+    def observe(
+        self, steps: NDArray[np.intp], state: State, faults: AnyFaults
+    ) -> NDArray[np.float32]:
+        """Return disturbed scans, ``[cars, rays]``; steps: done in each episode, ``[cars]``."""
+        return faults(steps, state, self.plant.scan_rows(state)).T.astype(np.float32)
 
     def step(
         self, state: State, action: NDArray
@@ -142,8 +162,10 @@ class HallwayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Arguments
     rays (21), field_of_view (230 degrees, given in radians), faults ("noise": uniform in
-    [0, 0.1] m, as the paper trained; "none", "paper", or a ``racecar.faults.Faults``), slip
-    (False), track (the paper's square).
+    [0, 0.1] m, as the paper trained; "none", "paper", a name of ``racecar faults``, a
+    ``racecar.faults.Faults`` or a ``racecar.faultmodels.spec.FaultSpec``), slip (False), track
+    (the paper's square). Every name of ``racecar faults`` has an environment of its own, such
+    as ``racecar/Hallway-paper_pattern-v0``.
 
     ## Version History
     * v0: first version
@@ -155,7 +177,7 @@ class HallwayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self,
         rays: int = 21,
         field_of_view: float = math.radians(230),
-        faults: str | Faults = "noise",
+        faults: str | Faults | FaultSpec = "noise",
         slip: bool = False,
         track: Track | None = None,
         render_mode: str | None = None,
@@ -167,7 +189,8 @@ class HallwayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.observation_space = self._cars.scan_space
         self.action_space = self._cars.steering_space
         self._state: State | None = None
-        self._faults: DrawnFaults
+        self._faults: AnyFaults
+        self._steps = np.zeros(1, dtype=int)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -175,7 +198,8 @@ class HallwayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Start a run; ``options`` may set ``s``, ``f``, ``v`` and ``theta`` (m, m/s, rad)."""
         super().reset(seed=seed)
         self._state, self._faults = self._cars.start(1, self.np_random, options)
-        return self._cars.observe(self._state, self._faults)[0], self._info()
+        self._steps[:] = 0
+        return self._cars.observe(self._steps, self._state, self._faults)[0], self._info()
 
     def step(
         self, action: NDArray[np.float32]
@@ -184,7 +208,8 @@ class HallwayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self._state is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         self._state, reward, crashed = self._cars.step(self._state, action)
-        scan = self._cars.observe(self._state, self._faults)[0]
+        self._steps += 1
+        scan = self._cars.observe(self._steps, self._state, self._faults)[0]
         return scan, float(reward[0]), bool(crashed[0]), False, self._info()
 
     def _info(self) -> dict[str, Any]:
@@ -202,7 +227,7 @@ class HallwayVectorEnv(VectorEnv):
         num_envs: int = 1,
         rays: int = 21,
         field_of_view: float = math.radians(230),
-        faults: str | Faults = "noise",
+        faults: str | Faults | FaultSpec = "noise",
         slip: bool = False,
         track: Track | None = None,
         max_episode_steps: int = EPISODE_STEPS,
@@ -219,7 +244,7 @@ class HallwayVectorEnv(VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._state: State | None = None
-        self._faults: DrawnFaults
+        self._faults: AnyFaults
         self._steps = np.zeros(num_envs, dtype=int)
         self._over = np.zeros(num_envs, dtype=bool)
 
@@ -237,7 +262,7 @@ class HallwayVectorEnv(VectorEnv):
         self._state, self._faults = self._cars.start(self.num_envs, self.np_random, options)
         self._steps[:] = 0
         self._over[:] = False
-        return self._cars.observe(self._state, self._faults), {}
+        return self._cars.observe(self._steps, self._state, self._faults), {}
 
     def step(
         self, actions: NDArray[np.float32]
@@ -258,24 +283,30 @@ class HallwayVectorEnv(VectorEnv):
             fresh, faults = self._cars.start(int(anew.sum()), self.np_random)
             for field in fields(State):
                 getattr(state, field.name)[anew] = getattr(fresh, field.name)
-            self._faults.gone[:, anew] = faults.gone
+            self._faults = renewed(self._faults, anew, faults)
             self._steps[anew] = 0
         self._state = state
         terminated = crashed & ~anew
         truncated = (self._steps >= self._limit) & ~anew
         self._over = terminated | truncated
         reward = np.where(anew, 0.0, reward)
-        return self._cars.observe(state, self._faults), reward, terminated, truncated, {}
+        scans = self._cars.observe(self._steps, state, self._faults)
+        return scans, reward, terminated, truncated, {}
 
 
 def register() -> None:
     """Register the environments with Gymnasium (done when this module is imported)."""
-    gymnasium.register(
-        id="racecar/Hallway-v0",
-        entry_point="racecar.env:HallwayEnv",
-        vector_entry_point="racecar.env:HallwayVectorEnv",
-        max_episode_steps=EPISODE_STEPS,
-    )
+    models: dict[str, dict[str, Any]] = {"racecar/Hallway-v0": {}}
+    for name in fault_names():
+        models[f"racecar/Hallway-{name}-v0"] = {"faults": name}
+    for name, arguments in models.items():
+        gymnasium.register(
+            id=name,
+            entry_point="racecar.env:HallwayEnv",
+            vector_entry_point="racecar.env:HallwayVectorEnv",
+            max_episode_steps=EPISODE_STEPS,
+            kwargs=arguments,
+        )
 
 
 register()

@@ -16,11 +16,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from racecar.bicycle import Bicycle
 from racecar.closed_loop import Plant, Runs, State, Steer, simulate
 from racecar.errors import BadInput
+from racecar.faultmodels.draw import SpecFaults, spec_faults
+from racecar.faultmodels.spec import FaultSpec
 from racecar.faults import FAULTS, DrawnFaults, Faults
+from racecar.lidar import Lidar
 from racecar.polygon import Array
 from racecar.safety import Property
+from racecar.track import square_track
 
 #: Runs per block. Changing it changes what every seed means.
 BLOCK = 1024
@@ -122,7 +127,7 @@ class Experiment:
     plant: Plant
     safety: Property
     starts: Starts
-    faults: Faults = FAULTS["none"]
+    faults: Faults | FaultSpec = FAULTS["none"]
     runs: int = 1001
     steps: int = STEPS
     seed: int = 0
@@ -191,12 +196,22 @@ def block_random(seed: int, block: int) -> np.random.Generator:
 
 
 def draw_faults(
-    faults: Faults, plant: Plant, runs: int, random: np.random.Generator
-) -> DrawnFaults | None:
-    """Draw the faults of ``runs`` runs; None if the model has none."""
+    faults: Faults | FaultSpec,
+    plant: Plant,
+    numbers: NDArray[np.intp],
+    seed: int,
+    random: np.random.Generator,
+) -> DrawnFaults | SpecFaults | None:
+    """Return the faults of the runs with these numbers; None if there are none.
+
+    Those of a FaultSpec depend on seed and numbers, those of Faults are drawn from ``random``.
+    """
+    if isinstance(faults, FaultSpec):
+        return spec_faults(faults, plant, numbers, seed)
     if not (faults.missing or faults.noise):
         return None
-    return faults.draw(plant.lidar.rays, runs, plant.track.width, plant.lidar.range, random)
+    lidar = plant.lidar
+    return faults.draw(lidar.rays, len(numbers), plant.track.width, lidar.range, random)
 
 
 def run_block(experiment: Experiment, steer: Steer, record: bool, block: int) -> Outcome:
@@ -204,7 +219,7 @@ def run_block(experiment: Experiment, steer: Steer, record: bool, block: int) ->
     numbers = np.arange(block * BLOCK, min((block + 1) * BLOCK, experiment.runs))
     random = block_random(experiment.seed, block)
     start = experiment.starts.states(numbers, experiment.runs, random)
-    disturb = draw_faults(experiment.faults, experiment.plant, len(numbers), random)
+    disturb = draw_faults(experiment.faults, experiment.plant, numbers, experiment.seed, random)
     runs = simulate(
         experiment.plant, steer, experiment.safety, start, experiment.steps, disturb, record
     )
@@ -264,3 +279,8 @@ def _join(parts: list[Outcome]) -> Outcome:
 def default_field_of_view(rays: int) -> float:
     """Return the field of view (rad) of the paper's scans: 230 degrees, the full scan 270."""
     return math.radians(270 if rays == FULL_SCAN_RAYS else 230)
+
+
+def paper_plant(rays: int) -> Plant:
+    """Return the paper's track and car with a LiDAR of so many rays and their field of view."""
+    return Plant(square_track(), Bicycle(), Lidar(rays, default_field_of_view(rays)))

@@ -8,10 +8,10 @@ turn, and on top noise uniform in [0, 0.2] m at every ray and step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from racecar.closed_loop import State
 from racecar.errors import BadInput
@@ -67,16 +67,26 @@ class DrawnFaults:
     reach: float
     random: np.random.Generator
 
-    def __call__(self, step: int, state: State, scan: Array) -> Array:
+    def __call__(self, step: ArrayLike, state: State, scan: Array) -> Array:
         """Return the scan ``[rays, runs]`` (metres) with noise added and rays missing."""
         del step
         if self.faults.noise:
             noise = self.faults.noise * self.random.random(scan.shape[::-1]).T
             scan = np.minimum(scan + noise, self.reach)
         if self.faults.missing:
-            gone = self.gone & in_turn(state, self.width) if self.faults.turn_only else self.gone
-            scan = np.where(gone, self.reach, scan)
+            scan = np.where(self.missing(0, state, scan), self.reach, scan)
         return scan
+
+    def missing(self, step: ArrayLike, state: State, scan: Array) -> NDArray[np.bool_]:
+        """Return which rays are missing, ``[rays, runs]``; scan: undisturbed, metres."""
+        del step, scan
+        return self.gone & in_turn(state, self.width) if self.faults.turn_only else self.gone
+
+    def renewed(self, which: NDArray[np.bool_], fresh: DrawnFaults) -> DrawnFaults:
+        """Return the faults with those of the runs ``which`` (mask) replaced by fresh ones."""
+        gone = self.gone.copy()
+        gone[:, which] = fresh.gone
+        return replace(self, gone=gone)
 
 
 @dataclass(frozen=True, eq=False)

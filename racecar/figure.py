@@ -85,6 +85,32 @@ def new_figure(view: View, title: str, subtitle: str) -> tuple[Figure, Axes]:
     return figure, axes
 
 
+def new_panels(views: Sequence[View], title: str, columns: int) -> tuple[Figure, list[Axes]]:
+    """Return a figure with one panel per view, in rows of at most ``columns``."""
+    columns = min(columns, len(views))
+    rows = -(-len(views) // columns)
+    width = max(3.2, 9.6 / columns)
+    tallest = max((v[3] - v[2]) / (v[1] - v[0]) for v in views)
+    figure = Figure(
+        figsize=(columns * width, rows * (width * tallest + 0.55) + 0.7), layout="constrained"
+    )
+    FigureCanvasAgg(figure)
+    panels = []
+    for place, view in enumerate(views):
+        axes = figure.add_subplot(rows, columns, place + 1)
+        show(axes, view)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(MaxNLocator(nbins=5, integer=True))
+        axes.tick_params(labelsize=7)
+        if place % columns == 0:
+            axes.set_ylabel("y (m)", fontsize=8)
+        if place >= len(views) - columns:
+            axes.set_xlabel("x (m)", fontsize=8)
+        panels.append(axes)
+    figure.suptitle(title, fontsize=11)
+    return figure, panels
+
+
 def show(axes: Axes, view: View) -> None:
     """Let axes show exactly ``view``, at one scale for x and y."""
     axes.set_xlim(view[0], view[1])

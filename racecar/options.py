@@ -21,6 +21,8 @@ from racecar.experiment import (
     Starts,
     default_field_of_view,
 )
+from racecar.faultmodels.find import find_faults
+from racecar.faultmodels.spec import FaultSpec
 from racecar.faults import FAULTS, Faults
 from racecar.lidar import Lidar
 from racecar.safety import PROPERTIES, named_property
@@ -49,9 +51,19 @@ class Setup:
     property_name: str
     seed: int
 
-    def fault_model(self) -> Faults:
+    def fault_model(self) -> Faults | FaultSpec:
         """Return the named fault model with the numbers that were given."""
-        model = FAULTS[self.faults]
+        try:
+            model = find_faults(self.faults)
+        except BadInput as error:
+            raise BadInput(f"--faults: {error}") from None
+        if isinstance(model, FaultSpec):
+            if self.noise is not None or self.missing is not None:
+                raise click.UsageError(
+                    f"--noise and --missing mean nothing with --faults {self.faults}; "
+                    "write the numbers into a file of your own"
+                )
+            return model
         if self.noise is not None:
             model = replace(model, noise=self.noise)
         if self.missing is not None:
@@ -100,11 +112,11 @@ _OPTIONS = (
     click.option("--slip", is_flag=True, help="Model the slip angle of the car."),
     click.option(
         "--faults",
-        type=click.Choice(list(FAULTS)),
+        metavar="NAME|FILE",
         default="none",
         show_default=True,
         help="paper: 5 rays drawn to be missing in the turn, noise up to 0.2 m; "
-        "noise: noise up to 0.1 m.",
+        "noise: noise up to 0.1 m; or a model that `racecar faults` lists, or a .json file.",
     ),
     click.option(
         "--noise", type=float, metavar="METRES", help="Noise up to this, instead of theirs."
@@ -150,8 +162,10 @@ def setup_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def describe_faults(faults: Faults) -> str:
+def describe_faults(faults: Faults | FaultSpec) -> str:
     """Return a fault model in words."""
+    if isinstance(faults, FaultSpec):
+        return f"faults {faults.name}"
     parts = []
     if faults.missing:
         where = " in the turn" if faults.turn_only else ""
@@ -163,16 +177,27 @@ def describe_faults(faults: Faults) -> str:
 
 def record_setup(onnx: Path | None, experiment: Experiment) -> dict[str, Any]:
     """Return what was run, as fields of a JSON record (SI units and radians)."""
-    faults, lidar = experiment.faults, experiment.plant.lidar
+    lidar = experiment.plant.lidar
     return {
         "onnx": str(onnx),
         "rays": lidar.rays,
         "field_of_view": lidar.field_of_view,
         "slip": experiment.plant.bicycle.slip,
-        "faults": next((name for name, model in FAULTS.items() if model == faults), "custom"),
-        "missing": faults.missing,
-        "noise": faults.noise,
+        **record_faults(experiment.faults),
         "property": experiment.safety.name,
         "steps": experiment.steps,
         "seed": experiment.seed,
     }
+
+
+def record_faults(faults: Faults | FaultSpec) -> dict[str, Any]:
+    """Return a fault model as fields of a JSON record; numbers it does not have are null."""
+    if isinstance(faults, FaultSpec):
+        return {
+            "faults": faults.name,
+            "faults_sha256": faults.sha256(),
+            "missing": None,
+            "noise": None,
+        }
+    name = next((name for name, model in FAULTS.items() if model == faults), "custom")
+    return {"faults": name, "missing": faults.missing, "noise": faults.noise}

@@ -87,7 +87,7 @@ def draw_traces(
     view = _whole_view(track) if whole_track else _turn_view(float(starts[0].min()), left)
     figure, axes = new_figure(view, title, subtitle)
     draw_track(axes, track, view, safety)
-    _draw_runs(axes, paths, safe)
+    draw_runs(axes, paths, safe)
     axes.plot(*starts, "|", color=INK, ms=3, mew=0.6, zorder=5)
     # The driving direction, on the wall beside the start.
     tail, height = starts[0].min(), FRINGE / 2
@@ -100,11 +100,12 @@ def draw_traces(
     )
     if not whole_track:
         _draw_turn(axes, track, safety, paths, safe, left)
-    draw_legend(figure, _legend(safe, safety))
+    draw_legend(figure, run_legend(safe, safety))
     return figure
 
 
-def _legend(safe: NDArray[np.bool_], safety: Property) -> list[Artist]:
+def run_legend(safe: NDArray[np.bool_], safety: Property) -> list[Artist]:
+    """Return the handles of a legend for runs of which so many are safe."""
     crashed = int(np.sum(~safe))
     handles: list[Artist] = [
         Line2D([], [], lw=1.4, label=f"safe runs: {len(safe) - crashed}", **_SAFE_LINE)
@@ -121,7 +122,7 @@ def _legend(safe: NDArray[np.bool_], safety: Property) -> list[Artist]:
     return handles
 
 
-def _draw_runs(axes: Axes, paths: tuple[Array, Array], safe: NDArray[np.bool_]) -> None:
+def draw_runs(axes: Axes, paths: tuple[Array, Array], safe: NDArray[np.bool_]) -> None:
     """Draw the paths of runs, the crashed ones on top with a mark where they end."""
     width = 0.8 if len(safe) <= 200 else 0.5
     for x, y, is_safe in zip(*paths, safe, strict=True):
@@ -152,7 +153,7 @@ def _draw_turn(
     inset.set_xticks([])
     inset.set_yticks([])
     draw_track(inset, track, view, safety)
-    _draw_runs(inset, paths, safe)
+    draw_runs(inset, paths, safe)
     inset.text(0.04, note, "enlarged", transform=inset.transAxes, fontsize=8, zorder=7)
     x0, x1, y0, y1 = view
     axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=INK, lw=0.7, zorder=7))

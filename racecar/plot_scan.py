@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from racecar.closed_loop import Plant, State, Steer
 from racecar.errors import BadInput
 from racecar.experiment import block_random, check_free, draw_faults
-from racecar.faults import Faults, in_turn
+from racecar.faultmodels.spec import FaultSpec
+from racecar.faults import Faults
 from racecar.figure import (
     BLUE,
     FRINGE,
@@ -59,7 +60,7 @@ def take_scan(
     s: float,
     f: float,
     theta: float,
-    faults: Faults,
+    faults: Faults | FaultSpec,
     seed: int = 0,
     steer: Steer | None = None,
 ) -> Scan:
@@ -73,11 +74,10 @@ def take_scan(
     state = State.start(s, f, 0.0, theta)
     distances = plant.scan_rows(state)
     missing = np.zeros(plant.lidar.rays, dtype=bool)
-    drawn = draw_faults(faults, plant, 1, block_random(seed, 0))
+    drawn = draw_faults(faults, plant, np.arange(1), seed, block_random(seed, 0))
     if drawn is not None:
+        missing = drawn.missing(0, state, distances)[:, 0]
         distances = drawn(0, state, distances)
-        active = not faults.turn_only or bool(in_turn(state, plant.track.width)[0])
-        missing = drawn.gone[:, 0] & active
     steering = None if steer is None else float(steer(distances)[0])
     return Scan(state, distances[:, 0], missing, steering)
 
@@ -85,15 +85,34 @@ def take_scan(
 @style()
 def draw_scan(plant: Plant, scan: Scan, title: str, subtitle: str) -> Figure:
     """Draw a car and its scan: rays to the walls, missing ones dashed to the range."""
-    state, reach = scan.state, plant.lidar.range
+    view = scan_view(plant, scan)
+    figure, axes = new_figure(view, title, subtitle)
+    draw_legend(figure, draw_scan_on(axes, plant, scan, view))
+    return figure
+
+
+def _rays(plant: Plant, scan: Scan) -> tuple[tuple[float, float, float], Array]:
+    """Return the car's global pose (m, m, rad) and the tips of its rays, ``[rays, 2]``."""
+    state = scan.state
     x, y, heading = (
         float(value[0])
         for value in plant.track.to_global(state.frame, state.s, state.f, state.theta)
     )
     angles = heading + plant.lidar.angles
     tips = np.column_stack([np.cos(angles), np.sin(angles)]) * scan.distances[:, None] + (x, y)
-    view = _view(np.vstack([tips, (x, y)]))
-    figure, axes = new_figure(view, title, subtitle)
+    return (x, y, heading), tips
+
+
+def scan_view(plant: Plant, scan: Scan) -> View:
+    """Return a view of a car and all its rays."""
+    (x, y, _), tips = _rays(plant, scan)
+    return _view(np.vstack([tips, (x, y)]))
+
+
+def draw_scan_on(axes: Axes, plant: Plant, scan: Scan, view: View) -> list[Artist]:
+    """Draw a car and its scan on axes that show ``view``; return the legend's handles."""
+    reach = plant.lidar.range
+    (x, y, heading), tips = _rays(plant, scan)
     draw_track(axes, plant.track, view)
     far = ~scan.missing & (scan.distances >= reach)
     hit = ~scan.missing & ~far
@@ -118,8 +137,7 @@ def draw_scan(plant: Plant, scan: Scan, title: str, subtitle: str) -> Figure:
         handles.append(Line2D([], [], ls=line, ms=3.5, label=label, **dots))
     _draw_car(axes, plant, (x, y), heading, scan.steering or 0.0)
     handles.append(Patch(color=WALL, label="wall"))
-    draw_legend(figure, handles)
-    return figure
+    return handles
 
 
 def _view(points: Array) -> View:

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
 from importlib import resources
+from pathlib import Path
 from typing import Annotated, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
+from generator.hyperparams.base import Arguments, Positive
+from generator.hyperparams.robust import ROBUST, RobustHyperparameters
 from racecar.errors import BadInput
 
 ENVIRONMENT = "racecar/Hallway-v0"
-Positive = Annotated[int, Field(gt=0)]
 
 
-class PolicyArguments(BaseModel):
+class PolicyArguments(Arguments):
     """The networks of actor and critic."""
 
-    model_config = ConfigDict(extra="forbid")
     activation: Literal["tanh", "relu"]
     critic: list[Positive]
     critic_activation: Literal["tanh", "relu"]
@@ -27,10 +27,15 @@ class PolicyArguments(BaseModel):
     )
 
 
-class Hyperparameters(BaseModel):
-    """One block of a hyper-parameter file; names are Stable-Baselines3's."""
+class EnvironmentArguments(Arguments):
+    """Arguments of the training's environment."""
 
-    model_config = ConfigDict(extra="forbid")
+    faults: str = Field(description="a name that the environment knows, such as paper")
+
+
+class Hyperparameters(Arguments):
+    """One block of a hyper-parameter file; names are Stable-Baselines3's and rl-zoo3's."""
+
     n_timesteps: Positive
     policy_kwargs: PolicyArguments
     learning_rate: float | str = Field(description="a number, or lin_X: falls linearly from X to 0")
@@ -45,6 +50,7 @@ class Hyperparameters(BaseModel):
     policy_delay: Positive | None = None
     target_policy_noise: float | None = None
     target_noise_clip: float | None = None
+    env_kwargs: EnvironmentArguments | None = None
 
     def rate(self) -> tuple[float, bool]:
         """Return the first learning rate and whether it falls linearly to 0."""
@@ -54,16 +60,23 @@ class Hyperparameters(BaseModel):
         except ValueError:
             raise BadInput(f"learning_rate {text!r}: write a number or lin_ and a number") from None
 
-    def sha256(self) -> str:
-        """Return a hash of the values, however the file that they came from is laid out."""
-        return hashlib.sha256(self.model_dump_json(exclude_none=True).encode()).hexdigest()
+
+AnyHyperparameters = Hyperparameters | RobustHyperparameters
 
 
-def load_hyperparameters(algorithm: str) -> Hyperparameters:
-    """Return an algorithm's hyper-parameters."""
-    file = resources.files(__name__) / f"{algorithm.lower()}.yml"
+def load_hyperparameters(algorithm: str, own: Path | None = None) -> AnyHyperparameters:
+    """Return an algorithm's hyper-parameters, from the package or a file of one's own.
+
+    BadInput if the file is not one for the algorithm.
+    """
+    kind = RobustHyperparameters if algorithm == ROBUST else Hyperparameters
+    file = own or resources.files(__name__) / f"{algorithm.lower()}.yml"
     try:
         block = yaml.safe_load(file.read_bytes())[ENVIRONMENT]
-        return Hyperparameters.model_validate(block)
-    except (yaml.YAMLError, KeyError, ValidationError) as error:
-        raise BadInput(f"{file}: not a hyper-parameter file for {ENVIRONMENT}: {error}") from None
+        return kind.model_validate(block)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(x) for x in first["loc"])
+        raise BadInput(f"{file}: {place}: {first['msg']}") from None
+    except (yaml.YAMLError, KeyError, TypeError):
+        raise BadInput(f"{file}: not a hyper-parameter file with a block {ENVIRONMENT}") from None

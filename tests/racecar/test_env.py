@@ -6,6 +6,7 @@ import math
 import subprocess
 import sys
 import warnings
+from itertools import pairwise
 
 import gymnasium
 import numpy as np
@@ -15,6 +16,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from racecar.env import EPISODE_STEPS, MAX_STEERING, HallwayEnv, HallwayVectorEnv
 from racecar.errors import BadInput
+from racecar.faultmodels.named import fault_names
 from racecar.faults import Faults
 from racecar.track import Hall, Track, square_track, track_from_turns
 
@@ -289,3 +291,38 @@ def test_starts_are_in_the_middle_of_any_track():
     s = [info["s"] for info in infos]
     assert min(s) >= 0.8
     assert max(s) <= 1.2
+
+
+# --- Fault models by name ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", fault_names())
+def test_every_fault_model_has_an_environment(name):
+    env = gymnasium.make(f"racecar.env:racecar/Hallway-{name}-v0")
+    first = env.reset(seed=4)[0]
+    assert first in env.observation_space
+    rest = [env.step(STRAIGHT)[0] for _ in range(3)]
+    assert (env.reset(seed=4)[0] == first).all()
+    assert all((env.step(STRAIGHT)[0] == x).all() for x in rest)
+
+
+def test_gymnasiums_checker_has_nothing_to_say_about_faults():
+    name = "racecar.env:racecar/Hallway-mixture-v0"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gymnasium.make(name, disable_env_checker=True).unwrapped)
+
+
+def test_noise_changes_from_step_to_step_and_from_run_to_run():
+    env = HallwayVectorEnv(2, faults="bounded_noise", max_episode_steps=2)
+    clean = HallwayVectorEnv(2, faults="none", max_episode_steps=2)
+    start = {"s": 0.75, "f": 10.0, "theta": 0.0}
+    actions = np.zeros((2, 1), dtype=np.float32)
+    noise = [env.reset(seed=1, options=start)[0] - clean.reset(options=start)[0]]
+    noise += [env.step(actions)[0] - clean.step(actions)[0] for _ in range(2)]
+    seen = np.abs(noise[0]) > 0
+    assert (np.abs(noise[0][0] - noise[0][1])[seen[0] & seen[1]] > 0).all()
+    assert all(np.abs(a - b)[0].max() > 1e-3 for a, b in pairwise(noise))
+    before = env._faults.runs.copy()
+    env.step(actions)  # both were over and start anew
+    assert (env._faults.runs != before).all()
