@@ -14,7 +14,7 @@ from generator.categories import CATEGORIES
 from generator.emit import build, category_folders, load_controllers
 from generator.export_command import export
 from generator.hyperparams import Hyperparameters, load_hyperparameters
-from generator.hyperparams.robust import ROBUST
+from generator.hyperparams.robust import STUDENTS
 from generator.instance_command import instance
 from generator.instances import benchmark_plant
 from generator.progress import progress_bar
@@ -82,7 +82,8 @@ def train(
     if timesteps is not None:
         if not isinstance(parameters, Hyperparameters):
             raise click.UsageError(
-                f"--timesteps means nothing for {ROBUST}; set rounds with --hyperparameters"
+                f"--timesteps means nothing for {setup.algorithm}; "
+                "set rounds with --hyperparameters"
             )
         parameters = parameters.model_copy(update={"n_timesteps": timesteps})
 
@@ -123,7 +124,7 @@ def _trainer(algorithm: str, report: Callable[[int, int, int], None]) -> Train:
     """
     train_seed: Callable[..., Trained]
     try:
-        if algorithm == ROBUST:
+        if algorithm in STUDENTS:
             from generator.robust.train import train as train_seed  # noqa: PLC0415
         else:
             from generator.train import train as train_seed  # noqa: PLC0415

@@ -1,8 +1,8 @@
 """Setups: what a controller's name says about how it was trained.
 
 ``TD3_L21_64x64_C1`` is the paper's form: algorithm, LiDAR rays, neurons per hidden layer,
-index of the controller (the first, second, ... seed that finished the turn). ROBUST is not
-reinforcement learning: it learns from a teacher (generator.robust).
+index of the controller (the first, second, ... seed that finished the turn). ROBUST and SMOOTH
+are not reinforcement learning: they learn from a teacher (generator.robust).
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from generator.hyperparams.robust import ROBUST
+from generator.hyperparams.robust import STUDENTS
 from racecar.errors import BadInput
 from racecar.experiment import default_field_of_view
 
-ALGORITHMS = ("DDPG", "TD3", ROBUST)
+ALGORITHMS = ("DDPG", "TD3", *STUDENTS)
 _NAME = re.compile(
     r"(?P<algorithm>[A-Z0-9]+)_L(?P<rays>\d+)_(?P<hidden>\d+(x\d+)*)_C(?P<index>\d+)"
 )

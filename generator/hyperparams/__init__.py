@@ -10,7 +10,7 @@ import yaml
 from pydantic import Field, ValidationError
 
 from generator.hyperparams.base import Arguments, Positive
-from generator.hyperparams.robust import ROBUST, RobustHyperparameters
+from generator.hyperparams.robust import STUDENTS, RobustHyperparameters
 from racecar.errors import BadInput
 
 ENVIRONMENT = "racecar/Hallway-v0"
@@ -69,7 +69,7 @@ def load_hyperparameters(algorithm: str, own: Path | None = None) -> AnyHyperpar
 
     BadInput if the file is not one for the algorithm.
     """
-    kind = RobustHyperparameters if algorithm == ROBUST else Hyperparameters
+    kind = RobustHyperparameters if algorithm in STUDENTS else Hyperparameters
     file = own or resources.files(__name__) / f"{algorithm.lower()}.yml"
     try:
         block = yaml.safe_load(file.read_bytes())[ENVIRONMENT]

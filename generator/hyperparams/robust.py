@@ -8,7 +8,8 @@ from pydantic import Field
 
 from generator.hyperparams.base import Arguments, Positive
 
-ROBUST = "ROBUST"
+#: Families that learn from a teacher: for many missing rays, and for proofs under noise.
+STUDENTS = ("ROBUST", "SMOOTH")
 
 Count = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -45,7 +46,7 @@ class FaultArguments(Arguments):
 
 
 class RobustHyperparameters(Arguments):
-    """One block of the hyper-parameter file of ROBUST."""
+    """One block of the hyper-parameter file of ROBUST or SMOOTH."""
 
     rounds: Positive
     cars: Positive

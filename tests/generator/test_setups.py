@@ -35,7 +35,8 @@ def test_other_names_are_refused(name):
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "field"), [("DDPG", "gamma"), ("TD3", "gamma"), ("ROBUST", "rounds")]
+    ("algorithm", "field"),
+    [("DDPG", "gamma"), ("TD3", "gamma"), ("ROBUST", "rounds"), ("SMOOTH", "rounds")],
 )
 def test_hyperparameters_hash_alike_only_if_equal(algorithm, field):
     parameters = load_hyperparameters(algorithm)
