@@ -160,6 +160,6 @@ def _print_table2(rows: dict[str, list[Entry]], environments: tuple[str, ...]) -
         for entry in entries:
             low, high = (100 * x for x in entry.interval)
             cells.append("" if entry.paper is None else str(entry.paper))
-            cells.append(f"{100 * entry.safe / entry.runs:.1f} ({low:.1f} to {high:.1f})")
+            cells.append(f"{100 * entry.safe / entry.runs:.1f} ({low:.1f}-{high:.1f})")
         table.add_row(name, *cells)
     Console(file=sys.stdout).print(table)
