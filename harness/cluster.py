@@ -118,6 +118,9 @@ class ClusterJobs:
         for future in as_completed(self._futures.values(), loop=self._client.loop):
             result = self._read(future, by_key[future.key])
             del self._futures[future.key]
+            # Now, and not when the next one is read: what is not let go is run anew if its worker
+            # is lost meanwhile.
+            future.release()
             yield result
 
     def _task(self, entry: Entry) -> Task:
