@@ -6,7 +6,8 @@
 #
 # EVERY: of the other categories each EVERY-th instance is run (default: 40; 0: `quick` alone); TOOL:
 # names of tools that ship, or folders (default: reference simulate). A run that is there is
-# continued. In the environment, PYTHON: an interpreter that has the package (default: python3).
+# continued. In the environment, PYTHON: an interpreter that has the package (default: python3);
+# TIMEOUT: seconds for every instance, instead of its own.
 set -euo pipefail
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 cd "$(dirname "$0")/.."
@@ -15,6 +16,7 @@ shift $(($# > 0))
 [ $# -gt 0 ] || set -- reference simulate
 
 chosen=(--category quick)
+[ -z "${TIMEOUT:-}" ] || chosen+=(--timeout "$TIMEOUT")
 if [ "$every" -gt 0 ]; then
     for list in benchmarks/*/instances.csv; do
         [ "$list" != benchmarks/quick/instances.csv ] || continue
