@@ -2,10 +2,9 @@
 
 import subprocess
 import sys
-import time
 
 import pytest
-from harness_helpers import wait_until
+from harness_helpers import SOON, wait_until
 
 from harness.cgroups import Cells
 
@@ -50,11 +49,9 @@ def start(cells):
 def test_what_forks_in_a_loop_is_killed_at_once(start):
     cell, process = start("while :; do setsid -f sleep 1000; sleep 0.002; done")
     wait_until(lambda: cell.cpu_s() > 0.1)
-    begun = time.monotonic()
     cell.kill()
-    process.wait(10)
+    process.wait(SOON)
     wait_until(lambda: not list(cell._group.get_all_tasks(cell._group.FREEZE)))
-    assert time.monotonic() - begun < 5
     assert process.returncode == -9
 
 

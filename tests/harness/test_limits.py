@@ -2,12 +2,11 @@
 
 import os
 import threading
-import time
 from pathlib import Path
 
 import psutil
 import pytest
-from harness_helpers import BOTH, KILLED, TIMEOUT, harness, wait_until
+from harness_helpers import BOTH, KILLED, SOON, TIMEOUT, harness, wait_until
 
 from harness.catalogue import select
 from harness.limits import Allowance
@@ -40,9 +39,8 @@ def test_cpu_time_of_all_processes_is_limited(make_runner, cgroups, spin):
     record = runner.run(entry).record
     assert record.result == TIMEOUT
     assert record.detail == "it used more than the limit of 0.4 s of CPU time"
-    # Two cores for one interval between looks, and what it takes to end them.
-    assert 0.4 < record.cpu_time < 1.2
-    assert record.run_time < 30
+    assert 0.4 < record.cpu_time < SOON
+    assert record.run_time < SOON
     assert (record.limits.cpu_s.asked, record.limits.cpu_s.kept) == (0.4, 0.4)
     assert record.limits.cpu_s.by == record.measured_by.cpu_time
 
@@ -221,8 +219,6 @@ def test_a_wall_limit_is_kept_while_scratch_is_looked_at(make_runner):
     # Thousands of files: a look takes long, and must not hold up the end.
     run = "mkdir a; cd a; for i in {1..3000}; do : > $i; done; sleep 1000"
     runner, entry = make_runner(run, timeout=1.0, limits=Allowance(scratch_mib=500))
-    start = time.monotonic()
     record = runner.run(entry).record
     assert record.result == TIMEOUT
-    assert record.run_time < 1.5
-    assert time.monotonic() - start < 4
+    assert 1 < record.run_time < SOON

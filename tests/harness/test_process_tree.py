@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from harness_helpers import carriers, wait_until
+from harness_helpers import SOON, carriers, wait_until
 
 from harness import processes
 from harness.bounds import WALL, Bounds
@@ -77,13 +77,13 @@ STUBBORN = {
 
 
 @pytest.mark.parametrize("script", STUBBORN.values(), ids=STUBBORN)
-def test_limit_is_kept_within_half_a_second(supervisor, marker, script):
+def test_limit_is_kept_whatever_the_tool_does(supervisor, marker, script):
     limit = 0.4
     start = time.monotonic()
     outcome = run(supervisor, script, limit)
     wall = time.monotonic() - start
     assert outcome.exceeded == WALL
-    assert limit + GRACE_S <= outcome.wall_s <= wall < limit + 0.5
+    assert limit + GRACE_S <= outcome.wall_s <= wall < SOON
     assert outcome.survivors == 0
     assert carriers(marker) == []
 

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from harness_helpers import carriers, harness, harness_process, wait_until
+from harness_helpers import SOON, carriers, harness, harness_process, wait_until
 
 from harness.store import RunFolder
 
@@ -120,7 +120,7 @@ def test_every_misdeed_has_its_code(benchmarks, make_tool, marker, tmp_path):
             assert result["witness_check"] is None
             assert record.witness is None
         if record.result == "run_instance_timeout":
-            assert LIMIT < record.run_time < LIMIT + 0.5
+            assert LIMIT < record.run_time < SOON
     assert 2**20 <= len(folder.log(folder.record("floods"))) < 1.1 * 2**20
     assert {p.name for p in out.iterdir()} == {"run.sqlite", "lock", "results.csv"}
     assert "I am quite sure" in results["garbage"]["detail"]
@@ -187,7 +187,7 @@ def test_timeout_option_replaces_every_timeout(benchmarks, make_tool, marker, tm
     done = harness("run", "--tool", make_tool(MISDEEDS), *arguments, cwd=tmp_path)
     (result,) = lines(done.stdout)
     assert result["limits"]["wall_s"] == 0.3
-    assert result["run_time"] < 0.8
+    assert 0.3 < result["run_time"] < SOON
 
 
 def test_install_runs_once_and_must_succeed(benchmarks, make_tool, tmp_path):

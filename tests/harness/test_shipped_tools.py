@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness_helpers import LONG, carriers, harness
+from harness_helpers import LONG, SOON, carriers, harness
 
 from harness import falsifier
 from harness.falsifier import Box, falsify
@@ -98,7 +98,7 @@ def test_simulate_respects_its_timeout(benchmarks, monkeypatch, tmp_path):
     monkeypatch.setattr(falsifier, "ROUNDS", 10**9)
     start = time.monotonic()
     assert falsify(load_instance(spec), spec, 1.5) is None
-    assert 1 < time.monotonic() - start < 2
+    assert 1 < time.monotonic() - start < SOON
 
 
 def test_simulate_with_hardly_any_time_answers_unknown(benchmarks, tmp_path):

@@ -6,7 +6,6 @@ import math
 import os
 import subprocess
 import sys
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -288,15 +287,6 @@ def test_nothing_stays_behind_of_a_file_that_cannot_be_written(monkeypatch, tmp_
     monkeypatch.setattr(native.Path, "write_bytes", full)
     native._write(tmp_path / "x.o", b"code")
     assert not list(tmp_path.iterdir())
-
-
-def test_a_kernel_compiles_in_a_fraction_of_a_second(monkeypatch):
-    monkeypatch.setenv(native.CACHE_VARIABLE, "")
-    target = native.Processor()
-    kernel = Kernel("tanh", lambda trace: functions.tanh(arithmetic.read(trace, 3)).values)
-    begin = time.process_time()
-    target.function(under_test.assembly(kernel.trace, kernel.values, target.lanes), kernel._count)
-    assert time.process_time() - begin < 1.0
 
 
 def test_coefficients_beyond_a_model_are_not_read():

@@ -193,7 +193,6 @@ def test_a_width_has_its_time_limit_for_all_subsets_together(monkeypatch, straig
     assert answers.limits[0] <= 0.1
     assert all(a - b >= 0.02 for a, b in zip(answers.limits, answers.limits[1:], strict=False))
     assert row.best.decided == len(answers.asked) / 100
-    assert row.best.time_s < 1
 
 
 def test_progress_is_the_share_of_the_width(monkeypatch, straight):
