@@ -289,6 +289,8 @@ def format_instance(instance: Instance) -> str:
     data = instance.model_dump(mode="json")
     if instance.disturbance is None:
         del data["disturbance"]
+    elif instance.disturbance.mirrors is None:
+        del data["disturbance"]["mirrors"]
     return _format(data, "") + "\n"
 
 

@@ -195,7 +195,7 @@ BAD_INSTANCES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "empty unsafe set": (put("property", "unsafe", 0, []), "property.unsafe.0: "),
     "no disturbance in a disturbance": (
         put("disturbance", "noise", 0),
-        "neither noise nor missing",
+        "no noise, missing rays or mirrors",
     ),
     "negative noise": (put("disturbance", "noise", -0.005), "disturbance.noise: "),
     "infinite noise": (put("disturbance", "noise", float("inf")), "disturbance.noise: "),
