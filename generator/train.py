@@ -88,6 +88,9 @@ def train(
     BadInput if the checkpoint is broken or was made with other settings.
     """
     torch.set_num_threads(1)
+    # Weight decay sends the weights of dead neurons to denormal numbers, with which products of
+    # matrices take a hundred times longer; too small to count beside any other, they are zero here.
+    torch.set_flush_denormal(True)
     total = parameters.n_timesteps
     libraries = {name: version(name) for name in LIBRARIES}
     settings = training_settings(setup, seed, parameters, libraries)
