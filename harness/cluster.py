@@ -15,10 +15,9 @@ from concurrent.futures import CancelledError
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from harness.catalogue import Entry, relative, sha256
+from harness.closing import Closing
 from harness.job import Result, Setting
 from harness.records import Limits, Record, Verdict
 from racecar.errors import BadInput
@@ -53,7 +52,7 @@ def connect(address: str) -> Client:
         ) from None
 
 
-class ClusterJobs:
+class ClusterJobs(Closing):
     """A Dask scheduler's workers; a context manager.
 
     cores_per_job: default a worker's cores divided by its threads; on_note: called with news.
@@ -196,7 +195,7 @@ class ClusterJobs:
     def _reconnect(self) -> None:
         """Wait until the scheduler answers again; BadInput if it doesn't."""
         self._on_note("the scheduler is lost")
-        self._close()
+        self._leave()
         give_up = time.monotonic() + RECONNECT_S
         while True:
             try:
@@ -223,22 +222,15 @@ class ClusterJobs:
         self._futures = {}
         return left
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """End all tools and leave the scheduler."""
+        self.stop()
+        self._leave()
+
+    def _leave(self) -> None:
         self._futures = {}
         with suppress(Exception):
             self._client.close(timeout=2)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.stop()
-        self._close()
 
 
 def _silence() -> None:

@@ -7,15 +7,14 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from queue import Empty, Queue
-from types import TracebackType
-from typing import Self
 
 from harness.catalogue import Entry
+from harness.closing import Closing
 from harness.job import Result, Setting, run_job
 from harness.runner import Runner, Stopped
 
 
-class LocalJobs:
+class LocalJobs(Closing):
     """Threads that run instances; a context manager that ends whatever runs.
 
     places: for each job the cores that it is pinned to, None for all; keep: file descriptors
@@ -95,13 +94,6 @@ class LocalJobs:
                 left.append(result)
         return left
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """End all tools, whatever they found."""
         self.stop()

@@ -13,13 +13,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from harness import landlock
 from harness.answer import Answer, read_answer
 from harness.bounds import CPU, MEMORY, OUTPUT, SCRATCH, Bounds, Means, Outcome
 from harness.catalogue import Entry, relative, sha256
+from harness.closing import Closing
 from harness.files import read_ends
 from harness.limits import DEFAULT, DEFAULT_OUTPUT_MIB, MIB, Allowance, bounds, limits_kept
 from harness.place import Place
@@ -60,7 +59,7 @@ class Finished:
     log: bytes
 
 
-class Runner:
+class Runner(Closing):
     """Runs a tool on instances, one at a time; a context manager.
 
     Several at once in one process don't disturb each other. keep: file descriptors that stay open
@@ -221,17 +220,6 @@ class Runner:
     def close(self) -> None:
         """End whatever runs, and remove all scratch folders."""
         self._supervisor.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 _NOTHING = Outcome(0, None, 0.0, 0.0, 0, 0, Means())

@@ -24,11 +24,11 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from harness.closing import Closing
 from harness.files import sync_folder
 from harness.records import Data, Record, RunInfo, WitnessCheck
 from racecar.errors import BadInput
@@ -55,7 +55,7 @@ _TABLES = (
 SomeData = TypeVar("SomeData", bound=Data)
 
 
-class RunFolder:
+class RunFolder(Closing):
     """What one run has stored; a context manager that closes the database.
 
     Only who holds the lock may add; all may read, at any time, from one thread an object.
@@ -227,17 +227,6 @@ class RunFolder:
         if self._database is not None:
             self._database.close()
             self._database = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _open(self) -> sqlite3.Connection:
         """Return the database, opened; it must exist."""

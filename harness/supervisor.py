@@ -17,13 +17,13 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import psutil
 
 from harness import process_tree, scratch
 from harness.bounds import Bounds, Means, Outcome
+from harness.closing import Closing
 
 #: The keeper may take this long (seconds) to end a tree and itself.
 _CLOSE_S = process_tree.GIVE_UP_S + 5
@@ -40,7 +40,7 @@ class CannotStart(Exception):
     """A command could not be started; the message says why."""
 
 
-class Supervisor:
+class Supervisor(Closing):
     """Runs one command at a time within bounds, each below a scratch folder of its own.
 
     keep: file descriptors that stay open as long as the keeper lives (a lock, so that
@@ -129,17 +129,6 @@ class Supervisor:
         while select.select([answers], [], [], max(0.0, give_up - time.monotonic()))[0]:
             if not os.read(answers, 1 << 16):
                 return
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def _end_marked(mark: str) -> None:
