@@ -150,7 +150,8 @@ def _print_table2(rows: dict[str, list[Entry]], environments: tuple[str, ...]) -
 
     runs = next(iter(rows.values()))[0].runs
     title = f"safe outcomes: the paper of 10, the model in % of {runs:,} runs (95 % interval)"
-    table = Table(title=title)
+    # Without lines: five columns fit a terminal of 80.
+    table = Table(title=title, box=None, header_style="bold", pad_edge=False)
     table.add_column("controller", no_wrap=True)
     for environment in environments:
         table.add_column("paper", justify="right", no_wrap=True)
