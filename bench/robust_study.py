@@ -24,7 +24,6 @@ import json
 import math
 import time
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +35,7 @@ from matplotlib import pyplot as plt
 
 from generator.hyperparams import AnyHyperparameters, Hyperparameters, load_hyperparameters
 from generator.instances import benchmark_plant
+from generator.robust import train as robust
 from generator.seeds import CONTROLLER, CURVE, RECORD, Trained, try_seed
 from generator.setups import Setup, parse_setup
 from racecar.controller import load_controller, write_whole
@@ -82,7 +82,7 @@ RECIPES = {
     "wide": Recipe(_WIDE_NET, SMALL),
     "large budget": Recipe(_SMALL_NET),
     "TD3 with faults": Recipe(
-        "TD3_L21_64x64", {"n_timesteps": 20_000, "env_kwargs": {"faults": "paper"}}
+        "TD3_L21_64x64", {"n_timesteps": 40_000, "env_kwargs": {"faults": "paper"}}
     ),
 }
 
@@ -100,7 +100,7 @@ def train_all(name: str, recipe: Recipe, work: Path, done_only: bool) -> list[di
             continue
         fresh = not (folder / RECORD).exists()
         began = time.process_time()
-        try_seed(recipe.setup, seed, recipe.parameters(), folder, partial(_train, name))
+        try_seed(recipe.setup, seed, recipe.parameters(), folder, _train)
         if fresh:
             write_whole(clock, json.dumps(time.process_time() - began).encode())
         final = folder / "final.json"
@@ -109,11 +109,11 @@ def train_all(name: str, recipe: Recipe, work: Path, done_only: bool) -> list[di
         with (folder / CURVE).open() as file:
             curve = list(csv.DictReader(file))
         spent = json.loads(clock.read_text()) if clock.exists() else math.nan
+        past, total = 0.0, sum(float(point["seconds"]) for point in curve)
         for point in curve:
-            share = point.get("paper_safe_fraction")
-            if share is not None:
-                done = int(point["rounds"]) / int(curve[-1]["rounds"])
-                rows.append(_row(name, seed, round(done * spent, 1), float(share), 1024))
+            past += float(point["seconds"])
+            share = float(point["paper_safe_fraction"])
+            rows.append(_row(name, seed, round(past / total * spent, 1), share, robust.CURVE_RUNS))
         last = json.loads(final.read_text())
         rows.append(_row(name, seed, round(spent, 1), last["safe"] / RUNS, RUNS) | last)
         print(name, seed, f"{spent:.0f} s", last, flush=True)
@@ -128,15 +128,16 @@ def _row(name: str, seed: int, seconds: float, share: float, runs: int) -> dict[
     }  # fmt: skip
 
 
-def _train(
-    name: str, setup: Setup, seed: int, parameters: AnyHyperparameters, folder: Path
-) -> Trained:
-    from generator.robust import train as robust  # noqa: PLC0415 (slow to import)
-
+def _train(setup: Setup, seed: int, parameters: AnyHyperparameters, folder: Path) -> Trained:
     if isinstance(parameters, Hyperparameters):
-        from generator.train import train  # noqa: PLC0415
+        from generator.train import train  # noqa: PLC0415 (slow to import)
 
-        return train(setup, seed, parameters, folder)
+        plant = benchmark_plant(setup.rays, setup.field_of_view)
+        share = robust.paper_safe_fraction
+        return train(
+            setup, seed, parameters, folder,
+            measure=lambda controller: {"paper_safe_fraction": share(controller, plant)},
+        )  # fmt: skip
     return robust.train(setup, seed, parameters, folder, chunk=2 if parameters.rounds < 20 else 5)
 
 
@@ -172,7 +173,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
             count = min(map(len, curves))
             x = np.mean([[r["cpu_seconds"] for r in c[:count]] for c in curves], axis=0)
             y = np.array([[1 - r["safe_fraction"] for r in c[:count]] for c in curves])
-            y = np.maximum(y, 0.5 / 1024)
+            y = np.maximum(y, 0.5 / robust.CURVE_RUNS)
             axes.plot(x, y.mean(axis=0), color=color, label=name)
             axes.fill_between(x, y.min(axis=0), y.max(axis=0), color=color, alpha=0.15, lw=0)
         for number, row in enumerate(r for r in mine if r["runs"] == RUNS):

@@ -81,11 +81,13 @@ def train(
     work: Path,
     report: Callable[[int, int], None] = lambda done, total: None,
     chunk: int = CHUNK,
+    measure: Callable[[Controller], dict[str, float]] = lambda controller: {},
 ) -> Trained:
     """Train one seed of a setup, from its checkpoint in ``work`` if there is one.
 
-    report(done, total) is called as steps are done; chunk: steps between checkpoints. Raises
-    BadInput if the checkpoint is broken or was made with other settings.
+    report(done, total) is called as steps are done; chunk: steps between checkpoints; measure:
+    further columns of the learning curve. Raises BadInput if the checkpoint is broken or was made
+    with other settings.
     """
     torch.set_num_threads(1)
     # Weight decay sends the weights of dead neurons to denormal numbers, with which products of
@@ -106,7 +108,8 @@ def train(
             reset_num_timesteps=False,
             log_interval=10**9,
         )
-        nominal = drive_nominal(export(model, {}), setup.field_of_view)
+        controller = export(model, {})
+        nominal = drive_nominal(controller, setup.field_of_view)
         curve.append(
             {
                 "timesteps": model.num_timesteps,
@@ -116,6 +119,7 @@ def train(
                 "nominal_margin": nominal.margin,
                 "seconds": round(time.perf_counter() - began, 1),
             }
+            | measure(controller)
         )
         save_checkpoint(model, curve, settings, checkpoint)
         report(model.num_timesteps, total)
