@@ -48,10 +48,11 @@ def hybrid_part(packing: Packing, file: ControllerFile, instances: Sequence[Inst
     """Return the files about a controller by path below the category's folder.
 
     instances: of one category and this controller; with PARTS and ARCHIVE they differ in start
-    box and property only. Nothing for large controllers; what a format cannot say is left out.
+    box and property only. Nothing for large controllers and for further seeds of a setup, which
+    differ in weights only; what a format cannot say is left out.
     """
     tree: Tree = {}
-    if packing is Packing.NONE or not file.small:
+    if packing is Packing.NONE or not file.small or file.further_seed:
         return tree
     exporter = Exporter()
     make = {Packing.WHOLE: _whole, Packing.PARTS: _parts, Packing.ARCHIVE: _archive}[packing]
