@@ -11,6 +11,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from generator.card.command import card
 from generator.categories import CATEGORIES
 from generator.emit import build, category_folders, load_controllers
 from generator.export_command import export
@@ -192,6 +193,7 @@ def scenarios(
 
 main.add_command(instance)
 main.add_command(export)
+main.add_command(card)
 
 
 @main.command()

@@ -114,6 +114,11 @@ def _pieces(
             yield work[done], done.result()
 
 
+def all_folders() -> tuple[str, ...]:
+    """Return the folders below the root that are emitted."""
+    return _folders(CATEGORIES.values())
+
+
 def category_folders(category: Category) -> tuple[str, ...]:
     """Return the folders below the root that hold nothing but a category's files."""
     parents = (FOLDER, SPECS, NETWORKS) if category.make else (FOLDER,)

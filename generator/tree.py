@@ -70,13 +70,13 @@ def write_tree(root: Path, emitted: Emitted) -> tuple[list[str], list[str]]:
     new manifest comes last: where it is current, the rest is complete.
     """
     tree = emitted.tree | _packed_alike(root, emitted)
-    written = [path for path, content in tree.items() if _update(root / path, content)]
+    written = [path for path, content in tree.items() if update_file(root / path, content)]
     removed = _stale(root, emitted)
     for path in removed:
         (root / path).unlink()
     for folder in emitted.folders:
         _remove_empty(root / folder)
-    if _update(root / emitted.manifest, _manifest(root, emitted, tree)):
+    if update_file(root / emitted.manifest, _manifest(root, emitted, tree)):
         written.append(emitted.manifest)
     return written, removed
 
@@ -86,14 +86,14 @@ def check_tree(root: Path, emitted: Emitted) -> Differences:
     found = Differences(stale=_stale(root, emitted))
     equivalent: Tree = {}
     for path, content in emitted.tree.items():
-        existing = _content(root / path)
+        existing = file_content(root / path)
         if existing is None:
             found.missing.append(path)
         elif not _same(path, existing, content):
             found.differ.append(path)
         else:
             equivalent[path] = existing
-    existing = _content(root / emitted.manifest)
+    existing = file_content(root / emitted.manifest)
     if existing is None:
         found.missing.append(emitted.manifest)
     elif existing != _manifest(root, emitted, emitted.tree | equivalent):
@@ -105,7 +105,7 @@ def _packed_alike(root: Path, emitted: Emitted) -> Tree:
     """Return the packed files that are there, hold what they should, and are unharmed."""
     entries, found = _entries(root, emitted), {}
     for path, content in emitted.tree.items():
-        if path.endswith((".gz", ".h5")) and (existing := _content(root / path)) is not None:
+        if path.endswith((".gz", ".h5")) and (existing := file_content(root / path)) is not None:
             unharmed = entries.get(path) == _entry(existing)
             if unharmed and _same(path, existing, content):
                 found[path] = existing
@@ -145,7 +145,7 @@ def _entry(content: bytes) -> dict[str, str | int]:
 def _entries(root: Path, emitted: Emitted) -> Entries:
     """Return the entries of the present manifest, none if it is not one."""
     try:
-        return dict(json.loads(_content(root / emitted.manifest) or b"{}")["files"])
+        return dict(json.loads(file_content(root / emitted.manifest) or b"{}")["files"])
     except (ValueError, KeyError, TypeError):
         return {}
 
@@ -155,6 +155,13 @@ def refresh_manifest(root: Path, manifest: str, folders: tuple[str, ...]) -> byt
     return _manifest(root, Emitted({}, (), manifest, folders), {})
 
 
+def is_as_listed(root: Path, manifest: str, path: str) -> bool:
+    """Whether a file is there with the bytes that the manifest says."""
+    content = file_content(root / path)
+    known = _entries(root, Emitted({}, (), manifest)).get(path)
+    return content is not None and known == _entry(content)
+
+
 def _other_entries(root: Path, emitted: Emitted) -> Entries:
     """Return the entries of what is in DATA besides the tree, is not stale, and stays."""
     known, entries = _entries(root, emitted), {}
@@ -162,6 +169,8 @@ def _other_entries(root: Path, emitted: Emitted) -> Entries:
         for path in _files(root / folder):
             name = path.relative_to(root).as_posix()
             if name == emitted.manifest or name in emitted.tree or _made(name, emitted.folders):
+                continue
+            if "__pycache__" in path.parts:  # the folder's one program was imported
                 continue
             if not _made(name, emitted.elsewhere):
                 entries[name] = _entry(path.read_bytes())
@@ -201,15 +210,16 @@ def _remove_empty(folder: Path) -> None:
             path.rmdir()
 
 
-def _update(path: Path, content: bytes) -> bool:
+def update_file(path: Path, content: bytes) -> bool:
     """Write a file unless it holds the content already; return whether it was written."""
-    if _content(path) == content:
+    if file_content(path) == content:
         return False
     write_whole(path, content)
     return True
 
 
-def _content(path: Path) -> bytes | None:
+def file_content(path: Path) -> bytes | None:
+    """Return what a file holds; None if it is not there."""
     try:
         return path.read_bytes()
     except FileNotFoundError:

@@ -20,8 +20,10 @@ SCRIPT = Path(__file__).parents[2] / "benchmarks" / "generate_properties.py"
 def script():
     spec = importlib.util.spec_from_file_location("generate_properties", SCRIPT)
     module = importlib.util.module_from_spec(spec)
+    sys.dont_write_bytecode, kept = True, sys.dont_write_bytecode
     sys.modules["generate_properties"] = module
     spec.loader.exec_module(module)
+    sys.dont_write_bytecode = kept
     yield module
     del sys.modules["generate_properties"]
 
