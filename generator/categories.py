@@ -8,7 +8,7 @@ from decimal import Decimal
 from typing import Literal
 
 from generator.hybrid.part import Packing
-from generator.instances import ControllerFile, Question
+from generator.instances import MOST_RAYS, MOST_WEIGHTS, ControllerFile, Question
 from generator.openloop.part import MakePart, open_loop_part
 from generator.partition import Partition
 from generator.unrolled.part import unrolled_part
@@ -23,11 +23,11 @@ class Category:
     """A folder of instances.
 
     timeout: seconds that a tool may take for one instance; partitions: of the start range,
-    for every controller that has a training record; finer: further ones, for controllers no larger
-    than the paper's; asked: further questions to every
-    controller, the controller and the category left out of their IDs; listed: questions to one,
-    as (controller, question); packing: how the instances are emitted as hybrid automata; traces:
-    whether the reference traces lie there; make: what makes the networks and VNN-LIB
+    for every controller that has a training record; finer: further ones, for controllers like the
+    paper's; asked: further questions to every controller, the controller and the category left
+    out of their IDs; listed: questions to one, as (controller, question); packing: how the
+    instances are emitted as hybrid automata; most_weights: of controllers for which they are;
+    traces: whether the reference traces lie there; make: what makes the networks and VNN-LIB
     specifications of a category that has no JSON instances; scans: of which controllers it asks:
     those of full scans, those of less, or any.
     """
@@ -39,6 +39,7 @@ class Category:
     asked: tuple[Question, ...] = ()
     listed: tuple[tuple[str, Question], ...] = ()
     packing: Packing = Packing.NONE
+    most_weights: int = MOST_WEIGHTS
     traces: bool = False
     make: MakePart | None = None
     scans: Literal["full", "less", "any"] = "less"
@@ -47,9 +48,18 @@ class Category:
         """Whether it asks controllers that read so many rays."""
         return self.scans == "any" or (self.scans == "full") == (rays >= FULL_SCAN_RAYS)
 
+    def printed(self, file: ControllerFile) -> bool:
+        """Whether a controller's instances are emitted as hybrid automata.
+
+        Those of further seeds of a setup are not: they differ in weights only.
+        """
+        few = self.scans == "full" or file.controller.rays <= MOST_RAYS
+        light = file.weights <= self.most_weights
+        return self.packing is not Packing.NONE and few and light and not file.further_seed
+
     def partitions_of(self, file: ControllerFile) -> tuple[Partition, ...]:
         """Return the partitions whose subsets a controller is asked about."""
-        return self.partitions + (self.finer if file.small else ())
+        return self.partitions + (self.finer if file.like_the_papers else ())
 
     def questions(self, file: ControllerFile) -> Iterator[Question]:
         """Yield the questions to ask of a controller."""
@@ -226,6 +236,8 @@ CATEGORIES = {
                 _partition("0.005", "clearance"),
                 _partition("0.2", "clearance", "hscc20"),
             ),
+            packing=Packing.SHARED_ARCHIVE,
+            most_weights=80_000,  # of 64x64 neurons; the automata take 5 MB
             traces=True,
             scans="full",
         ),

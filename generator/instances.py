@@ -73,6 +73,13 @@ class ControllerFile:
         return self.weights <= MOST_WEIGHTS and self.controller.rays <= MOST_RAYS
 
     @property
+    def like_the_papers(self) -> bool:
+        """Whether it is small and has at most two hidden layers, of tanh neurons only."""
+        hidden = [layer for layer in self.controller.layers if len(layer.biases) > 1]
+        tanh = all(layer.activation == "tanh" for layer in hidden)
+        return self.small and len(hidden) <= 2 and tanh
+
+    @property
     def weights(self) -> int:
         """How many weights its layers have, biases left out."""
         return sum(layer.weights.size for layer in self.controller.layers)

@@ -57,7 +57,7 @@ def make_piece(root: Path, name: str, file: ControllerFile) -> Piece:
         piece.files[f"{base}/{spec}"] = format_instance(instance).encode()
         piece.rows.append((f"../../onnx/{file.path.name}", spec, category.timeout))
         instances.append(instance)
-    if instances:
+    if instances and category.printed(file):
         hybrid = hybrid_part(category.packing, file, instances)
         piece.files |= {f"{base}/{path}": content for path, content in hybrid.items()}
     if category.traces:

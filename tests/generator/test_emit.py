@@ -1,7 +1,10 @@
 import csv
 import hashlib
+import io
 import json
 import os
+import tarfile
+from dataclasses import replace
 from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
@@ -19,6 +22,7 @@ from generator.instances import ControllerFile
 from generator.piece import make_piece
 from generator.tree import check_tree
 from racecar.closed_loop import State, simulate
+from racecar.controller import Controller
 from racecar.instance import load_instance, load_instance_controller, parse_instance
 
 
@@ -435,3 +439,30 @@ def test_further_seeds_have_every_instance_but_no_automata_and_scans(tmp_path, a
     assert rows[first] == rows[second] == 2
     assert members[first] - members[second] == {"scan"}
     assert files[second] == {"json"} < files[first]
+
+
+def test_only_controllers_like_the_papers_have_finer_subsets(tmp_path, add_controller):
+    file = ControllerFile.load(add_controller(tmp_path))
+    first, *last = file.controller.layers
+    assert file.like_the_papers
+    deep = replace(first, weights=np.eye(8, dtype=np.float32), biases=np.zeros(8, np.float32))
+    for layers, finer in (
+        ((first, deep, *last), True),
+        ((first, deep, deep, *last), False),
+        ((replace(first, activation="relu"), *last), False),
+    ):
+        other = replace(file, controller=Controller(layers))
+        assert other.like_the_papers == finer
+        assert len(list(CATEGORIES["closed_loop"].questions(other))) == (340 if finer else 40)
+
+
+def test_full_scans_are_printed_as_automata_once_with_an_archive(tmp_path, add_controller):
+    file = ControllerFile.load(add_controller(tmp_path, "TD3_L1081_8_C1", rays=1081))
+    files = make_piece(tmp_path, "full_scan", file).files
+    for form in ("automaton", "flowstar", "spaceex", "verisig"):
+        base = f"benchmarks/full_scan/{form}/TD3_L1081_8_C1"
+        named = {path.removeprefix(base) for path in files if path.startswith(base)}
+        assert ".tar.gz" in named
+        assert all(name.startswith(".k70.") for name in named - {".tar.gz"})
+        with tarfile.open(fileobj=io.BytesIO(files[f"{base}.tar.gz"])) as archive:
+            assert len({name.partition(".clearance")[0] for name in archive.getnames()}) >= 41
