@@ -399,22 +399,31 @@ def test_several_processes_make_the_same_files_as_one(tmp_path, add_controller):
     assert len(alone.tree) > 100
 
 
-def test_full_scans_are_asked_in_a_category_of_their_own(tmp_path, add_controller):
-    path = add_controller(tmp_path, "TD3_L1081_8_C1", rays=1081)
-    file = ControllerFile.load(path)
-    made = {name: make_piece(tmp_path, name, file) for name in CATEGORIES}
-    assert {name for name, piece in made.items() if piece.rows} == {"full_scan", "open_loop"}
-    ids = [Path(spec).stem for _, spec, _ in made["full_scan"].rows]
+@pytest.fixture(scope="module")
+def full_scan(tmp_path_factory, add_controller):
+    """What a controller of 1081 rays adds to the category full_scan."""
+    root = tmp_path_factory.mktemp("root")
+    file = ControllerFile.load(add_controller(root, "TD3_L1081_8_C1", rays=1081))
+    return make_piece(root, "full_scan", file)
+
+
+def test_full_scans_are_asked_in_a_category_of_their_own(full_scan):
+    asked = {name for name, category in CATEGORIES.items() if category.asks(1081)}
+    assert asked == {"full_scan", "open_loop"}
+    assert {name for name, category in CATEGORIES.items() if not category.asks(271)} == {
+        "full_scan"
+    }
+    ids = [Path(spec).stem for _, spec, _ in full_scan.rows]
     assert ids == [
         *(f"TD3_L1081_8_C1.full_scan.w5mm.{i:03}.clearance" for i in range(40)),
         "TD3_L1081_8_C1.full_scan.clearance",
         "TD3_L1081_8_C1.full_scan.hscc20",
     ]
     name = "benchmarks/full_scan/json/TD3_L1081_8_C1.full_scan.clearance.json"
-    instance = json.loads(made["full_scan"].files[name])
+    instance = json.loads(full_scan.files[name])
     assert instance["plant"]["lidar"]["field_of_view"] == np.radians(270)
     assert instance["initial_set"]["s"] == [0.65, 0.85]
-    assert "scan" not in made["full_scan"].traces.members
+    assert "scan" not in full_scan.traces.members
 
 
 @pytest.mark.parametrize(
@@ -456,9 +465,8 @@ def test_only_controllers_like_the_papers_have_finer_subsets(tmp_path, add_contr
         assert len(list(CATEGORIES["closed_loop"].questions(other))) == (340 if finer else 40)
 
 
-def test_full_scans_are_printed_as_automata_once_with_an_archive(tmp_path, add_controller):
-    file = ControllerFile.load(add_controller(tmp_path, "TD3_L1081_8_C1", rays=1081))
-    files = make_piece(tmp_path, "full_scan", file).files
+def test_full_scans_are_printed_as_automata_once_with_an_archive(full_scan):
+    files = full_scan.files
     for form in ("automaton", "flowstar", "spaceex", "verisig"):
         base = f"benchmarks/full_scan/{form}/TD3_L1081_8_C1"
         named = {path.removeprefix(base) for path in files if path.startswith(base)}
