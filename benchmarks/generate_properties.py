@@ -10,6 +10,7 @@ Grades, within a category:
   easy    the reference verifier decides it, in no more than the median time of those it decides
   medium  it decides it, in more
   open    it does not
+An instance that follows from another one's result takes that one's time.
 An instance without a row in reference.csv is graded by its structure: thirds by the product of
 rays, steps, width of the start set, noise and missing rays (JSON), or by the length of the
 specification (VNN-LIB). Needs nothing but Python.
@@ -49,6 +50,16 @@ class Instance:
     by: str = ""
 
 
+@dataclass(frozen=True)
+class Result:
+    """A row of reference.csv; seconds: of the search; source: the instance that was searched."""
+
+    instance: str
+    verdict: str
+    seconds: float | None
+    source: str
+
+
 def main(arguments: list[str]) -> int:
     """Write the set of a seed; return the exit status."""
     if len(arguments) not in (1, 2) or not arguments[0].isdecimal():
@@ -67,7 +78,10 @@ def main(arguments: list[str]) -> int:
 
 def load(root: Path) -> dict[str, list[Instance]]:
     """Return the instances of all categories, graded, by category."""
-    return {path.parent.name: _graded(path.parent) for path in sorted(root.glob("*/instances.csv"))}
+    folders = [path.parent for path in sorted(root.glob("*/instances.csv"))]
+    results = {folder.name: _results(folder / "reference.csv") for folder in folders}
+    times = {row.instance: row.seconds for rows in results.values() for row in rows}
+    return {folder.name: _graded(folder, results[folder.name], times) for folder in folders}
 
 
 def choose(
@@ -142,36 +156,42 @@ def _order(instances: list[Instance], seed: int) -> list[Instance]:
     return [instance for _, instance in sorted(turns, key=lambda turn: turn[0])]
 
 
-def _graded(folder: Path) -> list[Instance]:
-    """Return the instances of a category with their grades."""
+def _graded(folder: Path, results: list[Result], times: dict[str, float | None]) -> list[Instance]:
+    """Return the instances of a category with their grades; times (s): of all results."""
     instances = []
     for onnx, spec, timeout in _read(folder / "instances.csv"):
         path = folder / spec
         instances.append(Instance(path.stem, folder.name, folder / onnx, path, int(timeout)))
-    results = _results(folder / "reference.csv")
-    times = [seconds for verdict, seconds in results.values() if verdict != "unknown"]
-    median = statistics.median(times) if times else 0.0
-    ungraded = [instance for instance in instances if instance.id not in results]
-    thirds = _thirds(ungraded)
+    known = {row.instance: row for row in results}
+    taken = {
+        row.instance: row.seconds if row.seconds is not None else times.get(row.source) or 0.0
+        for row in results
+        if row.verdict != "unknown"
+    }
+    median = statistics.median(taken.values()) if taken else 0.0
+    thirds = _thirds([instance for instance in instances if instance.id not in known])
     graded = []
     for instance in instances:
-        if instance.id in results:
-            verdict, seconds = results[instance.id]
-            decided = "easy" if seconds <= median else "medium"
-            grade, by = ("open" if verdict == "unknown" else decided), "reference"
+        by = "reference" if instance.id in known else "structure"
+        if instance.id in taken:
+            grade = "easy" if taken[instance.id] <= median else "medium"
         else:
-            grade, by = thirds[instance.id], "structure"
+            grade = thirds.get(instance.id, "open")
         graded.append(replace(instance, grade=grade, by=by))
     return graded
 
 
-def _results(table: Path) -> dict[str, tuple[str, float]]:
-    """Return verdict and time (s) by instance; none if there is no table."""
+def _results(table: Path) -> list[Result]:
+    """Return the rows of a reference.csv; none if there is no table."""
     if not table.is_file():
-        return {}
+        return []
     head, *rows = _read(table)
-    named = [dict(zip(head, row, strict=True)) for row in rows]
-    return {row["instance"]: (row["verdict"], float(row.get("time_s") or 0)) for row in named}
+    found = []
+    for row in rows:
+        data = dict(zip(head, row, strict=True))
+        seconds = float(data["time_s"]) if data.get("time_s") else None
+        found.append(Result(data["instance"], data["verdict"], seconds, data.get("source", "")))
+    return found
 
 
 def _thirds(instances: list[Instance]) -> dict[str, str]:

@@ -123,7 +123,10 @@ def _category(root: Path, name: str) -> CategoryFacts:
         asked.append(Asked(id, controller, int(row[2]), width, results.get(id)))
     strange = sorted(set(results) - {instance.id for instance in asked})
     if strange:
-        raise BadInput(f"{folder / 'reference.csv'}: {strange[0]} is no instance of {name}")
+        raise BadInput(
+            f"{folder / 'reference.csv'}: {strange[0]} is no instance of {name}; "
+            "run `generator reference` again"
+        )
     folders = (folder, root / "vnnlib" / name, root / "onnx" / name)
     return CategoryFacts(name, tuple(asked), _bytes(p for f in folders for p in _emitted(f)))
 

@@ -126,6 +126,18 @@ def test_grades_follow_the_reference_and_else_the_structure(script, dataset):
     }
 
 
+def test_what_follows_from_a_larger_question_takes_its_time(script, dataset):
+    root = dataset("whole", {"fast": (10, ("unsat", 2), 1), "slow": (10, ("unsat", 90), 1)})
+    dataset("parts", dict.fromkeys(("a", "b", "c"), (10, ("unsat", ""), 1)))
+    (root / "parts" / "reference.csv").write_text(
+        "instance,verdict,margin_lower,margin_upper,source,time_s\n"
+        "a,unsat,,,fast,\nb,unsat,,,slow,\nc,unsat,,,c,3\n"
+    )
+    assert {x.id: x.grade for x in script.load(root)["parts"]} == {
+        "a": "easy", "b": "medium", "c": "easy",
+    }  # fmt: skip
+
+
 def test_questions_of_one_size_are_all_easy_and_packed_ones_are_read(script, dataset, tmp_path):
     root = dataset("flat", {"a": (10, None, 1), "b": (10, None, 1), "c": (10, None, 1)})
     assert [x.grade for x in script.load(root)["flat"]] == ["easy"] * 3
