@@ -47,7 +47,7 @@ def measure() -> dict[str, float]:
     """Return medians: seconds, and ratios of seconds."""
     claims = many_claims()
     path = max(VNNLIB.glob("*/2.0/*"), key=lambda path: path.stat().st_size)
-    text = read_unpacked(path)[1].decode()
+    text = read_unpacked(path).decode()
     query = read_query(text, path.name)
     values = [[0] * tensor.size for tensor in query.tensors]
     times: dict[str, list[float]] = {"score": [], "official": [], "read": [], "evaluate": []}

@@ -8,11 +8,12 @@ from decimal import Decimal
 from typing import Literal
 
 from generator.hybrid.part import Packing
-from generator.instances import Question
+from generator.instances import MOST_RAYS, MOST_WEIGHTS, ControllerFile, Question
 from generator.openloop.part import MakePart, open_loop_part
 from generator.partition import Partition
 from generator.unrolled.part import unrolled_part
 from racecar.disturbance import Disturbance
+from racecar.experiment import FULL_SCAN_RAYS
 
 LOWER, UPPER = "0.65", "0.85"
 
@@ -22,26 +23,49 @@ class Category:
     """A folder of instances.
 
     timeout: seconds that a tool may take for one instance; partitions: of the start range,
-    for every controller that has a training record; asked: further questions to every
-    controller, the controller and the category left out of their IDs; listed: questions to one,
-    as (controller, question); packing: how the instances are emitted as hybrid automata; traces:
-    whether the reference traces lie there; make: what makes the networks and VNN-LIB
-    specifications of a category that has no JSON instances.
+    for every controller that has a training record; finer: further ones, for controllers like the
+    paper's; asked: further questions to every controller, the controller and the category left
+    out of their IDs; listed: questions to one, as (controller, question); packing: how the
+    instances are emitted as hybrid automata; most_weights: of controllers for which they are;
+    traces: whether the reference traces lie there; make: what makes the networks and VNN-LIB
+    specifications of a category that has no JSON instances; scans: of which controllers it asks:
+    those of full scans, those of less, or any.
     """
 
     name: str
     timeout: int
     partitions: tuple[Partition, ...] = ()
+    finer: tuple[Partition, ...] = ()
     asked: tuple[Question, ...] = ()
     listed: tuple[tuple[str, Question], ...] = ()
     packing: Packing = Packing.NONE
+    most_weights: int = MOST_WEIGHTS
     traces: bool = False
     make: MakePart | None = None
+    scans: Literal["full", "less", "any"] = "less"
 
-    def questions(self, controller: str) -> Iterator[Question]:
+    def asks(self, rays: int) -> bool:
+        """Whether it asks controllers that read so many rays."""
+        return self.scans == "any" or (self.scans == "full") == (rays >= FULL_SCAN_RAYS)
+
+    def printed(self, file: ControllerFile) -> bool:
+        """Whether a controller's instances are emitted as hybrid automata.
+
+        Those of further seeds of a setup are not: they differ in weights only.
+        """
+        few = self.scans == "full" or file.controller.rays <= MOST_RAYS
+        light = file.weights <= self.most_weights
+        return self.packing is not Packing.NONE and few and light and not file.further_seed
+
+    def partitions_of(self, file: ControllerFile) -> tuple[Partition, ...]:
+        """Return the partitions whose subsets a controller is asked about."""
+        return self.partitions + (self.finer if file.like_the_papers else ())
+
+    def questions(self, file: ControllerFile) -> Iterator[Question]:
         """Yield the questions to ask of a controller."""
+        controller = file.name
         prefix = f"{controller}.{self.name}"
-        for partition in self.partitions:
+        for partition in self.partitions_of(file):
             ids = partition.ids(prefix)
             for subset, names in zip(partition.subsets, ids, strict=True):
                 for name, safety in zip(names, partition.properties, strict=True):
@@ -194,9 +218,8 @@ CATEGORIES = {
         Category(
             "closed_loop",
             timeout=60,
-            partitions=tuple(
-                _partition(width, "clearance") for width in ("0.005", "0.002", "0.001")
-            ),
+            partitions=(_partition("0.005", "clearance"),),
+            finer=(_partition("0.002", "clearance"), _partition("0.001", "clearance")),
             packing=Packing.ARCHIVE,
         ),
         Category(
@@ -207,6 +230,18 @@ CATEGORIES = {
             traces=True,
         ),
         Category(
+            "full_scan",
+            timeout=300,
+            partitions=(
+                _partition("0.005", "clearance"),
+                _partition("0.2", "clearance", "hscc20"),
+            ),
+            packing=Packing.SHARED_ARCHIVE,
+            most_weights=80_000,  # of 64x64 neurons; the automata take 5 MB
+            traces=True,
+            scans="full",
+        ),
+        Category(
             "state_box",
             timeout=120,
             asked=tuple(_box(*place, size) for place in _PLACES for size in _SIZES),
@@ -215,7 +250,7 @@ CATEGORIES = {
         Category("noise", timeout=120, asked=_NOISE),
         Category("faults", timeout=120, asked=_FAULTS),
         Category("lap", timeout=300, asked=_LAPS),
-        Category("open_loop", timeout=60, make=open_loop_part),
+        Category("open_loop", timeout=60, make=open_loop_part, scans="any"),
         Category("unrolled", timeout=60, make=unrolled_part),
         Category("quick", timeout=20, listed=_QUICK, packing=Packing.WHOLE),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,6 +11,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from generator.card.command import card
 from generator.categories import CATEGORIES
 from generator.emit import build, category_folders, load_controllers
 from generator.export_command import export
@@ -191,6 +193,7 @@ def scenarios(
 
 main.add_command(instance)
 main.add_command(export)
+main.add_command(card)
 
 
 @main.command()
@@ -203,13 +206,22 @@ main.add_command(export)
     help="May be repeated  [default: all]",
 )
 @click.option("--root", type=_FOLDER, default=CHECKOUT, help="Default: the checkout.")
+@click.option(
+    "--jobs", type=click.IntRange(1), help="Processes at a time  [default: one for each core]"
+)
 @_json_option
-def emit(check: bool, names: tuple[str, ...], root: Path, as_json: bool) -> int:
+def emit(check: bool, names: tuple[str, ...], root: Path, jobs: int | None, as_json: bool) -> int:
     """Emit the instance sets of the controllers in ROOT/onnx to ROOT/benchmarks."""
     categories = [c for c in CATEGORIES.values() if not names or c.name in names]
     controllers = load_controllers(root)
     with progress_bar(as_json) as report:
-        emitted = build(root, categories, controllers, partial(report, "instances"))
+        emitted = build(
+            root,
+            categories,
+            controllers,
+            partial(report, "controllers by category"),
+            jobs or _cores(),
+        )
     if check:
         return _show_differences(check_tree(root, emitted), as_json)
     written, removed = write_tree(root, emitted)
@@ -229,6 +241,12 @@ def emit(check: bool, names: tuple[str, ...], root: Path, as_json: bool) -> int:
     if not as_json:
         Console().print(table)
     return DONE
+
+
+def _cores() -> int:
+    """Return how many cores this process may use."""
+    usable = getattr(os, "sched_getaffinity", None)
+    return len(usable(0)) if usable else os.cpu_count() or 1
 
 
 def _show_differences(found: Differences, as_json: bool) -> int:

@@ -4,29 +4,24 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
 from generator import hdf5
-from generator.categories import Category
+from generator.categories import CATEGORIES, Category
 from generator.hdf5 import Dataset, Group
 from generator.hybrid.json_form import automaton_schema
-from generator.hybrid.part import hybrid_part
-from generator.instances import ControllerFile, benchmark_plant, make_instance
-from generator.openloop.part import NETWORKS, SPECS, Asked, Draw, spec_path
+from generator.instances import ControllerFile
+from generator.openloop.part import NETWORKS, SPECS
 from generator.partition import Partition
+from generator.piece import FOLDER, Piece, Row, make_piece
 from generator.record import ControllerRecord, load_record
-from generator.traces import trace_group
 from generator.tree import TRACES, Emitted, Tree, format_json
 from racecar.errors import BadInput
-from racecar.experiment import default_field_of_view
-from racecar.instance import format_instance, instance_schema
+from racecar.instance import instance_schema
 
-FOLDER = "benchmarks"
-#: Version of VNN-LIB that an instances.csv names; the other versions lie beside it.
-LISTED_VERSION = "1.0"
 SCHEMA, MANIFEST = f"{FOLDER}/instance.schema.json", f"{FOLDER}/manifest.json"
 AUTOMATON_SCHEMA = f"{FOLDER}/automaton.schema.json"
 
@@ -51,70 +46,77 @@ def load_controllers(root: Path) -> list[ControllerFile]:
     return files
 
 
-# Products of small matrices are three times slower on two threads than on one.
-@threadpool_limits.wrap(limits=1)
 def build(
     root: Path,
     categories: Sequence[Category],
     controllers: Sequence[ControllerFile],
     report: Callable[[int, int], None] = lambda done, total: None,
+    jobs: int = 1,
 ) -> Emitted:
     """Return every file of the categories, and the schemas.
 
-    report(done, total) counts instances, and controllers in the categories that make networks or
-    VNN-LIB specifications.
+    report(done, total) counts controllers, once for every category; jobs: processes that work at
+    a time. The result does not depend on it.
     """
     tree: Tree = {
         SCHEMA: format_json(instance_schema()),
         AUTOMATON_SCHEMA: format_json(automaton_schema()),
     }
-    total = sum(
-        1 if c.make else len(list(c.questions(file.name)))
-        for c in categories
-        for file in controllers
-    )
-    done = 0
-    traces: dict[str, Dataset | Group] = {}
+    wanted = [(category, file) for category in categories for file in controllers]
+    pieces = {}
+    for done, (key, piece) in enumerate(_pieces(root, wanted, jobs)):
+        pieces[key] = piece
+        report(done + 1, len(wanted))
     for category in categories:
         base = f"{FOLDER}/{category.name}"
-        rows = []
+        rows: list[Row] = []
+        traces: dict[str, Dataset | Group] = {}
         for file in controllers:
-            view = default_field_of_view(file.controller.rays)
-            if category.make:
-                plant = benchmark_plant(file.controller.rays, view)
-                part = category.make(file, plant, category.name, category.timeout, Draw())
-                tree |= part.files
-                rows += [_row(category, asked) for asked in part.asked]
-                done += 1
-                report(done, total)
-            instances = []
-            for question in category.questions(file.name):
-                spec = f"json/{question.id}.json"
-                if f"{base}/{spec}" in tree:
-                    raise ValueError(f"two instances have the ID {question.id}")
-                instance = make_instance(question, file, view, root / base / spec)
-                tree[f"{base}/{spec}"] = format_instance(instance).encode()
-                rows.append((f"../../onnx/{file.path.name}", spec, category.timeout))
-                instances.append(instance)
-                done += 1
-                report(done, total)
-            if instances:
-                hybrid = hybrid_part(category.packing, file, instances)
-                tree |= {f"{base}/{path}": content for path, content in hybrid.items()}
-            if category.traces:
-                traces[file.name] = trace_group(file, view)
+            piece = pieces[category.name, file.name]
+            tree |= piece.files
+            rows += piece.rows
+            if piece.traces is not None:
+                traces[file.name] = piece.traces
         if not rows:
             continue
         tree[f"{base}/instances.csv"] = _csv(rows)
         if category.partitions:
-            names = [file.name for file in controllers]
-            tree[f"{base}/partitions.h5"] = hdf5.to_bytes(_partitions(category, names))
-        if category.traces:
+            asked = [file for file in controllers if category.asks(file.controller.rays)]
+            tree[f"{base}/partitions.h5"] = hdf5.to_bytes(_partitions(category, asked))
+        if traces:
             group = Group("reference traces of the nominal drive, by controller", traces)
             tree[f"{base}/{TRACES}"] = hdf5.to_bytes(group)
-    inputs = {f"onnx/{file.path.name}": file.content for file in controllers}
-    folders = tuple(folder for category in categories for folder in category_folders(category))
-    return Emitted(tree, folders, inputs, MANIFEST)
+    others = [category for category in CATEGORIES.values() if category not in categories]
+    return Emitted(tree, _folders(categories), MANIFEST, _folders(others))
+
+
+def _folders(categories: Iterable[Category]) -> tuple[str, ...]:
+    return tuple(folder for category in categories for folder in category_folders(category))
+
+
+def _pieces(
+    root: Path, wanted: Sequence[tuple[Category, ControllerFile]], jobs: int
+) -> Iterator[tuple[tuple[str, str], Piece]]:
+    """Yield the pieces as they are done, by the names of category and controller."""
+    files = len({file.name for _, file in wanted})
+    if jobs == 1 or files == 1:  # starting a process takes as long as one controller's files
+        for category, file in wanted:
+            yield (category.name, file.name), make_piece(root, category.name, file)
+        return
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        # Large controllers first, so that none is left for the end.
+        order = sorted(wanted, key=lambda pair: -len(pair[1].content))
+        work = {
+            pool.submit(make_piece, root, category.name, file): (category.name, file.name)
+            for category, file in order
+        }
+        for done in as_completed(work):
+            yield work[done], done.result()
+
+
+def all_folders() -> tuple[str, ...]:
+    """Return the folders below the root that are emitted."""
+    return _folders(CATEGORIES.values())
 
 
 def category_folders(category: Category) -> tuple[str, ...]:
@@ -123,14 +125,13 @@ def category_folders(category: Category) -> tuple[str, ...]:
     return tuple(f"{parent}/{category.name}" for parent in parents)
 
 
-def _row(category: Category, asked: Asked) -> tuple[str, str, int]:
-    """Return a row of instances.csv, paths relative to the category's folder."""
-    spec = spec_path(category.name, asked.id, LISTED_VERSION)
-    return f"../../{asked.network}", f"../../{spec}", asked.timeout
-
-
-def _partitions(category: Category, controllers: Sequence[str]) -> Group:
-    members = {p.label: _partition(p, category.name, controllers) for p in category.partitions}
+def _partitions(category: Category, controllers: Sequence[ControllerFile]) -> Group:
+    """Return the partitions by label, with the instance IDs of the controllers asked."""
+    asked: dict[Partition, list[str]] = {}
+    for file in controllers:
+        for partition in category.partitions_of(file):
+            asked.setdefault(partition, []).append(file.name)
+    members = {p.label: _partition(p, category.name, names) for p, names in asked.items()}
     return Group(f"partitions of the start range in the category {category.name}", members)
 
 
@@ -163,7 +164,7 @@ def _partition(partition: Partition, category: str, controllers: Sequence[str]) 
     )
 
 
-def _csv(rows: Sequence[tuple[str, str, int]]) -> bytes:
+def _csv(rows: Sequence[Row]) -> bytes:
     """Return VNN-COMP's instances.csv: onnx, spec, timeout; no header."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)

@@ -21,9 +21,9 @@ from racecar.lidar import Lidar
 from racecar.safety import named_property
 from racecar.track import square_track
 
-#: Formats that spell out weights are emitted for controllers of at most so many. Files of larger
-#: ones would be megabytes each; `generator export` makes them.
-MOST_WEIGHTS = 25_000
+#: What the paper's largest controllers have. Files of larger ones that spell out weights would be
+#: megabytes each; `generator export` makes them.
+MOST_WEIGHTS, MOST_RAYS = 25_000, 61
 #: One value, or lower and upper bound, as decimal literals.
 Range = str | Bounds
 
@@ -69,8 +69,20 @@ class ControllerFile:
 
     @property
     def small(self) -> bool:
-        """Whether it has at most MOST_WEIGHTS weights."""
-        return sum(layer.weights.size for layer in self.controller.layers) <= MOST_WEIGHTS
+        """Whether it is no larger than the paper's: in weights and in rays."""
+        return self.weights <= MOST_WEIGHTS and self.controller.rays <= MOST_RAYS
+
+    @property
+    def like_the_papers(self) -> bool:
+        """Whether it is small and has at most two hidden layers, of tanh neurons only."""
+        hidden = [layer for layer in self.controller.layers if len(layer.biases) > 1]
+        tanh = all(layer.activation == "tanh" for layer in hidden)
+        return self.small and len(hidden) <= 2 and tanh
+
+    @property
+    def weights(self) -> int:
+        """How many weights its layers have, biases left out."""
+        return sum(layer.weights.size for layer in self.controller.layers)
 
     @property
     def further_seed(self) -> bool:

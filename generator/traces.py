@@ -12,8 +12,9 @@ from racecar.polygon import Array
 from racecar.safety import PROPERTIES, named_property
 
 STARTS, STEPS = 21, 70
-#: Scans of more rays are left out: they would be megabytes, and follow from the states.
-MOST_RAYS = 100
+#: Scans of more rays, and of further seeds of a setup, are left out: they would be half a megabyte
+#: for a controller, and follow from the states.
+MOST_RAYS = 21
 
 _STATES = {
     "frame": ("1", "hall that the local frame belongs to, counted from 0"),
@@ -57,7 +58,7 @@ def trace_group(file: ControllerFile, field_of_view: float) -> Group:
         members[name] = Dataset(
             values, units, f"{description}; at the control instants, [starts, steps + 1]"
         )
-    if file.controller.rays <= MOST_RAYS:
+    if file.controller.rays <= MOST_RAYS and not file.further_seed:
         members["scan"] = Dataset(
             scans, "m", "LiDAR distances, first ray at the right end, [starts, steps, rays]"
         )

@@ -25,6 +25,8 @@ Tree = dict[str, bytes]
 #: A manifest's entries by path: sha256 and size in bytes.
 Entries = dict[str, dict[str, str | int]]
 
+#: The folders that a manifest covers.
+DATA = ("benchmarks", "onnx", "vnnlib")
 TRACES, TRACE_TOLERANCE = "traces.h5", 1e-9
 #: What lies in an emitted folder and begins with this was made by another command.
 REFERENCE = "reference"
@@ -34,14 +36,15 @@ REFERENCE = "reference"
 class Emitted:
     """What is to lie under a root.
 
-    tree: the files; folders: those that hold nothing else, each two levels deep; inputs: files
-    that the tree was made from; manifest: path of the manifest, which covers tree and inputs.
+    tree: the files; folders: those that hold nothing else, each two levels deep; manifest: path of
+    the manifest, which covers the tree and everything else in DATA; elsewhere: folders that are
+    emitted, too, but not now: what the manifest says about them stays.
     """
 
     tree: Tree
     folders: tuple[str, ...]
-    inputs: Tree
     manifest: str
+    elsewhere: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -67,13 +70,13 @@ def write_tree(root: Path, emitted: Emitted) -> tuple[list[str], list[str]]:
     new manifest comes last: where it is current, the rest is complete.
     """
     tree = emitted.tree | _packed_alike(root, emitted)
-    written = [path for path, content in tree.items() if _update(root / path, content)]
+    written = [path for path, content in tree.items() if update_file(root / path, content)]
     removed = _stale(root, emitted)
     for path in removed:
         (root / path).unlink()
     for folder in emitted.folders:
         _remove_empty(root / folder)
-    if _update(root / emitted.manifest, _manifest(root, emitted, tree)):
+    if update_file(root / emitted.manifest, _manifest(root, emitted, tree)):
         written.append(emitted.manifest)
     return written, removed
 
@@ -83,14 +86,14 @@ def check_tree(root: Path, emitted: Emitted) -> Differences:
     found = Differences(stale=_stale(root, emitted))
     equivalent: Tree = {}
     for path, content in emitted.tree.items():
-        existing = _content(root / path)
+        existing = file_content(root / path)
         if existing is None:
             found.missing.append(path)
         elif not _same(path, existing, content):
             found.differ.append(path)
         else:
             equivalent[path] = existing
-    existing = _content(root / emitted.manifest)
+    existing = file_content(root / emitted.manifest)
     if existing is None:
         found.missing.append(emitted.manifest)
     elif existing != _manifest(root, emitted, emitted.tree | equivalent):
@@ -102,7 +105,7 @@ def _packed_alike(root: Path, emitted: Emitted) -> Tree:
     """Return the packed files that are there, hold what they should, and are unharmed."""
     entries, found = _entries(root, emitted), {}
     for path, content in emitted.tree.items():
-        if path.endswith((".gz", ".h5")) and (existing := _content(root / path)) is not None:
+        if path.endswith((".gz", ".h5")) and (existing := file_content(root / path)) is not None:
             unharmed = entries.get(path) == _entry(existing)
             if unharmed and _same(path, existing, content):
                 found[path] = existing
@@ -128,13 +131,11 @@ def _unpacked(content: bytes) -> bytes | None:
 
 
 def _manifest(root: Path, emitted: Emitted, tree: Tree) -> bytes:
-    """Return the manifest of a tree; entries for folders that are not ours stay."""
-    entries = _other_entries(root, emitted)
-    for path, content in (tree | emitted.inputs).items():
-        entries[path] = _entry(content)
-    return format_json(
-        {"format": "closedlap-manifest", "version": "1.0", "files": dict(sorted(entries.items()))}
-    )
+    """Return the manifest of a tree and of what else is there, one file a line."""
+    entries = _other_entries(root, emitted) | {path: _entry(x) for path, x in tree.items()}
+    lines = (f"{json.dumps(path)}: {json.dumps(entries[path])}" for path in sorted(entries))
+    head = '{"format": "closedlap-manifest", "version": "1.0", "files": {'
+    return "\n".join([head, ",\n".join(lines), "}}", ""]).encode()
 
 
 def _entry(content: bytes) -> dict[str, str | int]:
@@ -144,31 +145,62 @@ def _entry(content: bytes) -> dict[str, str | int]:
 def _entries(root: Path, emitted: Emitted) -> Entries:
     """Return the entries of the present manifest, none if it is not one."""
     try:
-        return dict(json.loads(_content(root / emitted.manifest) or b"{}")["files"])
+        return dict(json.loads(file_content(root / emitted.manifest) or b"{}")["files"])
     except (ValueError, KeyError, TypeError):
         return {}
 
 
+def refresh_manifest(root: Path, manifest: str, folders: tuple[str, ...]) -> bytes:
+    """Return the manifest with what it says about the emitted folders as it is, the rest anew."""
+    return _manifest(root, Emitted({}, (), manifest, folders), {})
+
+
+def is_as_listed(root: Path, manifest: str, path: str) -> bool:
+    """Whether a file is there with the bytes that the manifest says."""
+    content = file_content(root / path)
+    known = _entries(root, Emitted({}, (), manifest)).get(path)
+    return content is not None and known == _entry(content)
+
+
 def _other_entries(root: Path, emitted: Emitted) -> Entries:
-    """Return the entries of the present manifest about other emitted folders than ours."""
-    return {
-        path: entry
-        for path, entry in _entries(root, emitted).items()
-        if path.count("/") > 1
-        and not path.startswith(tuple(f"{folder}/" for folder in emitted.folders))
-        and (root / path).exists()
-    }
+    """Return the entries of what is in DATA besides the tree, is not stale, and stays."""
+    known, entries = _entries(root, emitted), {}
+    for folder in DATA:
+        for path in _files(root / folder):
+            name = path.relative_to(root).as_posix()
+            if name == emitted.manifest or name in emitted.tree or _made(name, emitted.folders):
+                continue
+            if "__pycache__" in path.parts:  # the folder's one program was imported
+                continue
+            if not _made(name, emitted.elsewhere):
+                entries[name] = _entry(path.read_bytes())
+            elif name in known:
+                entries[name] = known[name]
+    return entries
 
 
 def _stale(root: Path, emitted: Emitted) -> list[str]:
-    stale = []
-    for folder in emitted.folders:
-        for path in sorted((root / folder).rglob("*")):
-            name = path.relative_to(root).as_posix()
-            kept = path.relative_to(root / folder).parts[0].startswith(REFERENCE)
-            if name not in emitted.tree and not kept and (path.is_symlink() or not path.is_dir()):
-                stale.append(name)
-    return stale
+    return [
+        name
+        for folder in emitted.folders
+        for path in _files(root / folder)
+        if (name := path.relative_to(root).as_posix()) not in emitted.tree
+        and _made(name, emitted.folders)
+    ]
+
+
+def _made(name: str, folders: tuple[str, ...]) -> bool:
+    """Whether a path lies in one of the folders and is not kept there for another command."""
+    return any(
+        name.startswith(f"{folder}/") and not name.startswith(f"{folder}/{REFERENCE}")
+        for folder in folders
+    )
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return everything in a folder but folders, in order."""
+    found = sorted(folder.rglob("*"))
+    return [path for path in found if path.is_symlink() or not path.is_dir()]
 
 
 def _remove_empty(folder: Path) -> None:
@@ -178,15 +210,16 @@ def _remove_empty(folder: Path) -> None:
             path.rmdir()
 
 
-def _update(path: Path, content: bytes) -> bool:
+def update_file(path: Path, content: bytes) -> bool:
     """Write a file unless it holds the content already; return whether it was written."""
-    if _content(path) == content:
+    if file_content(path) == content:
         return False
     write_whole(path, content)
     return True
 
 
-def _content(path: Path) -> bytes | None:
+def file_content(path: Path) -> bytes | None:
+    """Return what a file holds; None if it is not there."""
     try:
         return path.read_bytes()
     except FileNotFoundError:

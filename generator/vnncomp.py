@@ -10,7 +10,6 @@ An instances.csv has no header; its rows are onnx, vnnlib, timeout, paths withou
 from __future__ import annotations
 
 import csv
-import gzip
 import io
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -20,7 +19,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from generator.categories import CATEGORIES, Category
-from generator.gzipped import gzipped
+from generator.gzipped import gzipped, unpacked
 from generator.instances import ControllerFile, benchmark_plant
 from generator.openloop.part import Asked, Draw, Part, spec_path
 from generator.openloop.printer import VERSIONS
@@ -156,8 +155,16 @@ def _emitted(root: Path, category: Category) -> Part:
         network, id = row[0].removeprefix("../../"), PurePosixPath(row[1]).stem
         part.asked.append(Asked(id, network, int(row[2])))
         for path in (network, *(spec_path(category.name, id, version) for version in VERSIONS)):
-            part.files.setdefault(path, read_text(root / path))
+            part.files.setdefault(path, _plain(root / path))
     return part
+
+
+def _plain(path: Path) -> bytes:
+    """Return what an emitted file holds, which may be there with .gz after its name only."""
+    packed = path.with_name(f"{path.name}.gz")
+    if path.exists() or not packed.exists():
+        return read_text(path)
+    return unpacked(packed)
 
 
 def _drawn(category: Category, file: ControllerFile, seed: int) -> Part:
@@ -194,10 +201,7 @@ def _beside(category: str, controllers: Sequence[ControllerFile]) -> Tree:
 def _load_controllers(folder: Path) -> list[ControllerFile]:
     files = []
     for path in sorted(folder.glob("*.onnx.gz")):
-        try:
-            content = gzip.decompress(read_text(path))
-        except (OSError, EOFError):
-            raise BadInput(f"{path}: it is not a complete gzip file; export again") from None
+        content = unpacked(path)
         name = path.with_suffix("")
         files.append(ControllerFile(name, content, parse_controller(content, str(name))))
     if not files:

@@ -8,10 +8,12 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import hashlib
 import math
 import os
 import re
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +26,8 @@ INSTANCES, REFERENCE = "instances.csv", "reference.csv"
 VNNLIB, ZIPPED = ".vnnlib", ".gz"
 #: Timeout, in seconds, of an instance that stands in no instances.csv.
 DEFAULT_TIMEOUT_S = 60.0
+#: How every gzip file begins.
+_GZIP = b"\x1f\x8b"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]{0,199}")
 
 
@@ -125,10 +129,21 @@ def is_query(spec: Path) -> bool:
 
 def _there(path: Path, where: str) -> Path:
     path = Path(os.path.normpath(path))
-    for found in (path, path.with_name(path.name + ZIPPED)):
-        if found.is_file():
-            return found
-    raise BadInput(f"{where}: there is no file {path}")
+    found = find_file(path)
+    if found is None:
+        raise BadInput(f"{where}: there is no file {path}")
+    return found
+
+
+def find_file(path: Path) -> Path | None:
+    """Return a file, or the same with or without .gz after its name; None if neither is there."""
+    others = (path.with_name(path.name + ZIPPED), path.with_name(plain_name(path.name)))
+    return next((found for found in (path, *others) if found.is_file()), None)
+
+
+def plain_name(name: str) -> str:
+    """Return a name or path without the .gz that it may end in."""
+    return name.removesuffix(ZIPPED)
 
 
 def _timeout(text: str, where: str) -> float:
@@ -245,12 +260,19 @@ def relative(path: Path, root: Path | None) -> str:
 
 
 def sha256(path: Path) -> str:
-    """Return the sha256 of a file; BadInput if it cannot be read."""
+    """Return the sha256 of a file, of a gzipped one that of what it holds.
+
+    So a result stays that of an instance whose files are packed, by whichever zlib. BadInput if
+    the file cannot be read.
+    """
     try:
         with path.open("rb") as file:
+            zipped = file.read(len(_GZIP)) == _GZIP
+        with gzip.open(path) if zipped else path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror})") from None
+    except (OSError, EOFError, zlib.error) as error:
+        why = getattr(error, "strerror", None) or error
+        raise BadInput(f"{path}: cannot be read ({why})") from None
 
 
 def load_references(root: Path) -> dict[str, Reference]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from harness.catalogue import Entry, is_query, sha256
+from harness.catalogue import Entry, find_file, is_query, sha256
 from harness.machine import versions
 from harness.records import Record, Verdict, WitnessCheck
 from harness.store import RunFolder
@@ -61,7 +61,7 @@ def witness_check(
 
 
 def _entry(record: Record, root: Path) -> Entry:
-    onnx, spec = root / record.onnx, root / record.spec
+    onnx, spec = (find_file(path) or path for path in (root / record.onnx, root / record.spec))
     return Entry(record.instance, record.category, onnx, spec, record.limits.wall_s)
 
 

@@ -24,9 +24,9 @@ def counterexample_for(onnx: Path, spec: Path, inputs: Sequence[float]) -> str:
     BadInput if there is another number of inputs, or if the network cannot be run on them.
     """
     try:
-        query = read_query(read_unpacked(spec)[1].decode("utf-8"), str(spec))
+        query = read_query(read_unpacked(spec).decode("utf-8"), str(spec))
         _check_count(query, inputs)
-        network = Network(read_unpacked(onnx)[1], query, str(onnx))
+        network = Network(read_unpacked(onnx), query, str(onnx))
         (outputs,) = network.run(network.feed([np.array(inputs)]))
     except (NotUnderstood, Malformed, CannotRun) as error:
         raise BadInput(f"{spec}: {error}") from None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from harness.catalogue import Reference, is_query, load_references, sha256
+from harness.catalogue import Reference, find_file, is_query, load_references, sha256
 from harness.checks import witness_check
 from harness.records import Record, WitnessCheck
 from harness.scoring import Claim
@@ -94,8 +94,8 @@ def _same_query(a: Record, b: Record, root: Path | None) -> bool:
 
 def _is_current(record: Record, root: Path) -> bool:
     """Whether the benchmarks hold the specification that a record names."""
-    spec = root / record.spec
-    return spec.is_file() and sha256(spec) == record.spec_sha256
+    spec = find_file(root / record.spec)
+    return spec is not None and sha256(spec) == record.spec_sha256
 
 
 def claim_of(record: Record, check: WitnessCheck | None) -> Claim:

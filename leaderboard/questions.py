@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from harness.catalogue import sha256
+from harness.catalogue import find_file, sha256
 from harness.records import Record
 from racecar.controller import load_controller
 from racecar.errors import BadInput
@@ -74,9 +74,11 @@ class _Files:
         """Return where a file lies, if it is there and the one that was run."""
         if self._root is None:
             return None
-        path = self._root / name
+        path = find_file(self._root / name)
+        if path is None:
+            return None
         if path not in self._hashes:
-            self._hashes[path] = sha256(path) if path.is_file() else ""
+            self._hashes[path] = sha256(path)
         return path if self._hashes[path] == expected else None
 
     def layers(self, onnx: Path) -> str | None:

@@ -32,6 +32,8 @@ class Packing(Enum):
     PARTS = "parts"
     #: Only the latter, in one archive for each controller; the former lies in another category.
     ARCHIVE = "archive"
+    #: What the instances share, and what is their own in one archive for each controller.
+    SHARED_ARCHIVE = "shared archive"
 
 
 def folder_of(form: str) -> str:
@@ -47,14 +49,19 @@ def shared_name(instance: Instance) -> str:
 def hybrid_part(packing: Packing, file: ControllerFile, instances: Sequence[Instance]) -> Tree:
     """Return the files about a controller by path below the category's folder.
 
-    instances: of one category and this controller; with PARTS and ARCHIVE they differ in start
-    box and property only. Nothing for large controllers; what a format cannot say is left out.
+    instances: of one category and this controller; unless they are packed WHOLE they differ in
+    start box and property only. What a format cannot say is left out.
     """
     tree: Tree = {}
-    if packing is Packing.NONE or not file.small:
+    if packing is Packing.NONE:
         return tree
     exporter = Exporter()
-    make = {Packing.WHOLE: _whole, Packing.PARTS: _parts, Packing.ARCHIVE: _archive}[packing]
+    make = {
+        Packing.WHOLE: _whole,
+        Packing.PARTS: _parts,
+        Packing.ARCHIVE: _archive,
+        Packing.SHARED_ARCHIVE: _shared_archive,
+    }[packing]
     groups = [[instance] for instance in instances] if packing is Packing.WHOLE else [instances]
     for form in FORMATS:
         for group in groups:
@@ -79,14 +86,26 @@ def _whole(
 def _parts(
     exporter: Exporter, controller: Controller, instances: Sequence[Instance], form: str
 ) -> Tree:
-    first = instances[0]
-    name = shared_name(first)
-    shared = exporter.shared_files(first, controller, form, name)
-    tree = {f"{name}{ending}": content for ending, content in shared.items()}
+    tree = _shared(exporter, controller, instances, form)
     for instance in instances:
         own = exporter.own_files(instance, controller, form)
         tree |= {f"{instance.id}{ending}": content for ending, content in own.items()}
     return tree
+
+
+def _shared_archive(
+    exporter: Exporter, controller: Controller, instances: Sequence[Instance], form: str
+) -> Tree:
+    shared = _shared(exporter, controller, instances, form)
+    return shared | _archive(exporter, controller, instances, form)
+
+
+def _shared(
+    exporter: Exporter, controller: Controller, instances: Sequence[Instance], form: str
+) -> Tree:
+    name = shared_name(instances[0])
+    shared = exporter.shared_files(instances[0], controller, form, name)
+    return {f"{name}{ending}": content for ending, content in shared.items()}
 
 
 def _archive(

@@ -7,17 +7,20 @@ from generator.openloop.part import NETWORKS, Asked, Draw, Part
 from generator.unrolled.questions import unrolled_questions
 from racecar.closed_loop import Plant
 
+#: Every graph holds the weights anew: a controller's take up to 1.5 MB, gzipped.
+MOST_WEIGHTS = 20_000
+
 
 def unrolled_part(
     file: ControllerFile, plant: Plant, category: str, timeout: int, draw: Draw
 ) -> Part:
     """Return the unrolled networks of a controller and the questions about them.
 
-    timeout: for one step; longer runs get more. Nothing for large controllers and for further
-    seeds of a setup: every graph holds the weights anew, a megabyte or two for a controller.
+    timeout: for one step; longer runs get more. Nothing for large controllers, those of more rays
+    than the paper's, and further seeds of a setup.
     """
     part = Part()
-    if not file.small or file.further_seed:
+    if not file.small or file.weights > MOST_WEIGHTS or file.further_seed:
         return part
     asked_for = unrolled_questions(file.name, file.controller, plant, draw.start, draw.tag)
     for graphs, questions in asked_for:

@@ -42,8 +42,7 @@ def check_query_witness(instance: str, onnx: Path, spec: Path, text: bytes) -> W
 
     instance: its ID; onnx, spec: files, gzipped or not. Raises BadInput if they cannot be used.
     """
-    network, packed_network = read_unpacked(onnx)[::-1]
-    query, packed_query = read_unpacked(spec)[::-1]
+    network, query = read_unpacked(onnx), read_unpacked(spec)
     if not text.strip():
         judged = Judged(WitnessOutcome.MISSING, "nothing follows sat")
     else:
@@ -58,8 +57,8 @@ def check_query_witness(instance: str, onnx: Path, spec: Path, text: bytes) -> W
         outside=judged.outside,
         violation=judged.violation,
         witness_sha256=hashlib.sha256(text).hexdigest(),
-        spec_sha256=hashlib.sha256(packed_query).hexdigest(),
-        onnx_sha256=hashlib.sha256(packed_network).hexdigest(),
+        spec_sha256=hashlib.sha256(query).hexdigest(),
+        onnx_sha256=hashlib.sha256(network).hexdigest(),
         checked_with=versions(),
     )
 

@@ -119,8 +119,8 @@ def exact(tensors: Sequence[NDArray[Any]]) -> list[list[Fraction]]:
     return [[Fraction(x) for x in tensor.ravel().tolist()] for tensor in tensors]
 
 
-def read_unpacked(path: Path) -> tuple[bytes, bytes]:
-    """Return a file's content as it is, and unpacked; BadInput if it cannot be read."""
+def read_unpacked(path: Path) -> bytes:
+    """Return a file's content, unpacked if it is gzipped; BadInput if it cannot be read."""
     try:
         with path.open("rb") as file:
             content = file.read(LARGEST_FILE + 1)
@@ -128,7 +128,7 @@ def read_unpacked(path: Path) -> tuple[bytes, bytes]:
         raise BadInput(f"{path}: cannot be read ({error.strerror})") from None
     if len(content) > LARGEST_FILE:
         raise BadInput(f"{path}: it is larger than {LARGEST_FILE >> 20} MiB")
-    return content, unpack(content, str(path))
+    return unpack(content, str(path))
 
 
 def _shape(shape: Sequence[int | str | None]) -> tuple[int, ...]:

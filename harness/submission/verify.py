@@ -16,7 +16,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
 
-from harness.catalogue import Entry, in_all_versions, load_everything, relative, sha256
+from harness.catalogue import (
+    Entry,
+    in_all_versions,
+    load_everything,
+    plain_name,
+    relative,
+    sha256,
+)
 from harness.checks import judge_entry
 from harness.records import Data, Record, RunInfo, Verdict, WitnessCheck
 from harness.submission.archive import Refused, read_archive
@@ -218,10 +225,10 @@ class _Verification:
             self._note(record.instance, f"the benchmarks have none such in {record.category}")
             return None
         entry = next(
-            (e for e in in_all_versions(listed) if relative(e.spec, self._root) == record.spec),
+            (e for e in in_all_versions(listed) if self._is_named(e.spec, record.spec)),
             None,
         )
-        if entry is None or relative(entry.onnx, self._root) != record.onnx:
+        if entry is None or not self._is_named(entry.onnx, record.onnx):
             self._note(record.instance, "its files are not those that the benchmarks name")
             return None
         for path, said in ((entry.spec, record.spec_sha256), (entry.onnx, record.onnx_sha256)):
@@ -231,6 +238,10 @@ class _Verification:
                 self._note(record.instance, f"it was run on another {path.name} (sha256 differs)")
                 return None
         return entry
+
+    def _is_named(self, path: Path, name: str) -> bool:
+        """Whether a record's name is that of a file, packed or not."""
+        return plain_name(relative(path, self._root)) == plain_name(name)
 
     def take_witness(self, name: str, content: bytes, digest: str) -> None:
         """Judge a witness for every record that it belongs to."""

@@ -24,7 +24,7 @@ def instances(tmp_path_factory, add_controller):
             question, file, 4.0, root / "x.json"
         )
         for name in WIDER
-        for question in CATEGORIES[name].questions(file.name)
+        for question in CATEGORIES[name].questions(file)
     }
 
 

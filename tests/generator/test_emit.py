@@ -1,7 +1,10 @@
 import csv
 import hashlib
+import io
 import json
 import os
+import tarfile
+from dataclasses import replace
 from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
@@ -15,8 +18,11 @@ from click.testing import CliRunner
 from generator.categories import CATEGORIES
 from generator.cli import main
 from generator.emit import build, load_controllers
+from generator.instances import ControllerFile
+from generator.piece import make_piece
 from generator.tree import check_tree
 from racecar.closed_loop import State, simulate
+from racecar.controller import Controller
 from racecar.instance import load_instance, load_instance_controller, parse_instance
 
 
@@ -49,6 +55,12 @@ def small(tmp_path, add_controller):
     add_controller(tmp_path)
     assert run(tmp_path, "--category", "full_range").exit_code == 0
     return tmp_path
+
+
+def one_file_a_line(manifest):
+    """The manifest's own layout."""
+    text = json.dumps(manifest).replace('"files": {', '"files": {\n').replace("}, ", "},\n")
+    return text.replace("}}}", "}\n}}\n").encode()
 
 
 def check_small(root):
@@ -198,11 +210,13 @@ def test_traces_are_a_run_of_the_closed_loop(root):
                 )
 
 
-def test_the_manifest_sums_every_file_and_the_controllers(root):
+def test_the_manifest_sums_every_file_and_the_controllers_with_their_records(root):
     manifest = json.loads((root / "benchmarks" / "manifest.json").read_bytes())
     expected = files(root)
     del expected["benchmarks/manifest.json"]
-    expected["onnx/TD3_L5_8_C1.onnx"] = (root / "onnx" / "TD3_L5_8_C1.onnx").read_bytes()
+    for ending in ("onnx", "json"):
+        name = f"onnx/TD3_L5_8_C1.{ending}"
+        expected[name] = (root / name).read_bytes()
     assert manifest["files"] == {
         name: {"sha256": hashlib.sha256(content).hexdigest(), "size": len(content)}
         for name, content in expected.items()
@@ -267,7 +281,7 @@ def test_traces_may_differ_in_their_last_bits_but_no_more(small):
         entry = content["files"]["benchmarks/full_range/traces.h5"]
         entry["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
         entry["size"] = path.stat().st_size
-        manifest.write_text(json.dumps(content, indent=2) + "\n")
+        manifest.write_bytes(one_file_a_line(content))
         assert check_small(small)[0] == status
         # What another machine made alike stays, whatever is emitted anew.
         changed = path.read_bytes()
@@ -281,10 +295,22 @@ def test_results_of_the_reference_verifier_are_left_alone(small):
     (folder / "reference.csv").write_text("kept")
     (folder / "reference").mkdir()
     (folder / "reference" / "proof.json").write_text("kept")
-    assert check_small(small)[0] == 0
+    (small / "benchmarks" / "README.md").write_text("kept")
+    assert check_small(small) == (
+        1,
+        {"current": False, "differ": ["benchmarks/manifest.json"], "missing": [], "stale": []},
+    )
     assert run(small, "--category", "full_range").exit_code == 0
     assert (folder / "reference.csv").read_text() == "kept"
     assert (folder / "reference" / "proof.json").exists()
+    assert check_small(small)[0] == 0
+    manifest = json.loads((small / "benchmarks" / "manifest.json").read_bytes())["files"]
+    assert manifest["benchmarks/README.md"] == {
+        "sha256": hashlib.sha256(b"kept").hexdigest(),
+        "size": 4,
+    }
+    for name in ("reference.csv", "reference/proof.json"):
+        assert f"benchmarks/full_range/{name}" in manifest
 
 
 def test_one_category_can_be_emitted_without_touching_another(root, tmp_path, add_controller):
@@ -361,3 +387,90 @@ def test_instances_do_not_depend_on_where_the_root_lies(
     for path, content in relative.tree.items():
         if "/json/" in path:
             assert parse_instance(content, path).controller.file.startswith("../../../onnx/")
+
+
+def test_several_processes_make_the_same_files_as_one(tmp_path, add_controller):
+    for number in (1, 2):
+        add_controller(tmp_path, f"TD3_L5_8_C{number}", seed=number)
+    categories = [CATEGORIES[name] for name in ("full_range", "noise", "open_loop")]
+    controllers = load_controllers(tmp_path)
+    alone, together = (build(tmp_path, categories, controllers, jobs=jobs) for jobs in (1, 2))
+    assert alone == together
+    assert len(alone.tree) > 100
+
+
+@pytest.fixture(scope="module")
+def full_scan(tmp_path_factory, add_controller):
+    """What a controller of 1081 rays adds to the category full_scan."""
+    root = tmp_path_factory.mktemp("root")
+    file = ControllerFile.load(add_controller(root, "TD3_L1081_8_C1", rays=1081))
+    return make_piece(root, "full_scan", file)
+
+
+def test_full_scans_are_asked_in_a_category_of_their_own(full_scan):
+    asked = {name for name, category in CATEGORIES.items() if category.asks(1081)}
+    assert asked == {"full_scan", "open_loop"}
+    assert {name for name, category in CATEGORIES.items() if not category.asks(271)} == {
+        "full_scan"
+    }
+    ids = [Path(spec).stem for _, spec, _ in full_scan.rows]
+    assert ids == [
+        *(f"TD3_L1081_8_C1.full_scan.w5mm.{i:03}.clearance" for i in range(40)),
+        "TD3_L1081_8_C1.full_scan.clearance",
+        "TD3_L1081_8_C1.full_scan.hscc20",
+    ]
+    name = "benchmarks/full_scan/json/TD3_L1081_8_C1.full_scan.clearance.json"
+    instance = json.loads(full_scan.files[name])
+    assert instance["plant"]["lidar"]["field_of_view"] == np.radians(270)
+    assert instance["initial_set"]["s"] == [0.65, 0.85]
+    assert "scan" not in full_scan.traces.members
+
+
+@pytest.mark.parametrize(
+    ("name", "rays", "count"),
+    [("TD3_L61_8_C1", 61, 340), ("TD3_L121_8_C1", 121, 40), ("TD3_L1081_8_C1", 1081, 0)],
+)
+def test_controllers_larger_than_the_papers_have_no_finer_subsets(
+    tmp_path, add_controller, name, rays, count
+):
+    file = ControllerFile.load(add_controller(tmp_path, name, rays=rays))
+    assert len(make_piece(tmp_path, "closed_loop", file).rows) == count
+
+
+def test_further_seeds_have_every_instance_but_no_automata_and_scans(tmp_path, add_controller):
+    rows, members, files = {}, {}, {}
+    for name in ("TD3_L5_8_C1", "TD3_L5_8_C2"):
+        file = ControllerFile.load(add_controller(tmp_path, name))
+        piece = make_piece(tmp_path, "full_range", file)
+        rows[name], members[name] = len(piece.rows), set(piece.traces.members)
+        files[name] = {path.split("/")[2] for path in piece.files}
+    first, second = "TD3_L5_8_C1", "TD3_L5_8_C2"
+    assert rows[first] == rows[second] == 2
+    assert members[first] - members[second] == {"scan"}
+    assert files[second] == {"json"} < files[first]
+
+
+def test_only_controllers_like_the_papers_have_finer_subsets(tmp_path, add_controller):
+    file = ControllerFile.load(add_controller(tmp_path))
+    first, *last = file.controller.layers
+    assert file.like_the_papers
+    deep = replace(first, weights=np.eye(8, dtype=np.float32), biases=np.zeros(8, np.float32))
+    for layers, finer in (
+        ((first, deep, *last), True),
+        ((first, deep, deep, *last), False),
+        ((replace(first, activation="relu"), *last), False),
+    ):
+        other = replace(file, controller=Controller(layers))
+        assert other.like_the_papers == finer
+        assert len(list(CATEGORIES["closed_loop"].questions(other))) == (340 if finer else 40)
+
+
+def test_full_scans_are_printed_as_automata_once_with_an_archive(full_scan):
+    files = full_scan.files
+    for form in ("automaton", "flowstar", "spaceex", "verisig"):
+        base = f"benchmarks/full_scan/{form}/TD3_L1081_8_C1"
+        named = {path.removeprefix(base) for path in files if path.startswith(base)}
+        assert ".tar.gz" in named
+        assert all(name.startswith(".k70.") for name in named - {".tar.gz"})
+        with tarfile.open(fileobj=io.BytesIO(files[f"{base}.tar.gz"])) as archive:
+            assert len({name.partition(".clearance")[0] for name in archive.getnames()}) >= 41

@@ -1,11 +1,20 @@
 """Instances are found, or one line says what is wrong with the benchmarks folder."""
 
+import gzip
+import hashlib
 import json
 
 import pytest
 
 from harness import catalogue
-from harness.catalogue import load_category, load_references, relative, select
+from harness.catalogue import (
+    find_file,
+    load_category,
+    load_references,
+    relative,
+    select,
+    sha256,
+)
 from harness.records import Verdict
 from racecar.errors import BadInput
 
@@ -128,3 +137,23 @@ def test_benchmarks_folder(benchmarks, tmp_path, monkeypatch):
     monkeypatch.setattr(catalogue.harness, "__file__", str(tmp_path / "site" / "h" / "__init__.py"))
     with pytest.raises(BadInput, match="give one with --benchmarks"):
         catalogue.require_root(None)
+
+
+def test_a_packed_file_is_the_same_file(tmp_path):
+    plain, packed = tmp_path / "a.vnnlib", tmp_path / "b.vnnlib.gz"
+    plain.write_bytes(b"(assert)")
+    packed.write_bytes(gzip.compress(b"(assert)", mtime=5))
+    assert sha256(packed) == sha256(plain) == hashlib.sha256(b"(assert)").hexdigest()
+    packed.write_bytes(gzip.compress(b"(assert)")[:-6])
+    with pytest.raises(BadInput, match=r"b\.vnnlib\.gz: cannot be read"):
+        sha256(packed)
+
+
+def test_a_file_is_found_packed_or_not(tmp_path):
+    (tmp_path / "a.onnx").touch()
+    (tmp_path / "b.onnx.gz").touch()
+    assert (
+        find_file(tmp_path / "a.onnx.gz") == find_file(tmp_path / "a.onnx") == tmp_path / "a.onnx"
+    )
+    assert find_file(tmp_path / "b.onnx") == tmp_path / "b.onnx.gz"
+    assert find_file(tmp_path / "c.onnx") is None

@@ -165,3 +165,23 @@ def test_query_that_cannot_be_judged_costs_nothing(root, make_tool, tmp_path):
     done = harness("score", tmp_path / "run", "--benchmarks", root, "--json")
     row = json.loads(done.stdout.splitlines()[0])
     assert (row["score"], row["sat"], row["unknown"], row["incorrect"]) == (10, 1, 1, 0)
+
+
+def test_results_stay_valid_when_the_files_are_packed_or_unpacked(root, make_tool, tmp_path):
+    good = witness_1([0.75], [0.0])
+    run(root, make_tool(answers(good, good)), tmp_path / "run")
+    archive = tmp_path / "s.tar.gz"
+    who = ("--author", "A", "--contact", "a@b.org", "--tool-version", "1")
+    where = ("--benchmarks", root)
+    assert harness("submit", tmp_path / "run", "-o", archive, *who, *where).returncode == 0
+    for path in [*(tmp_path / "onnx").iterdir(), *(tmp_path / "vnnlib").glob("*/*/*")]:
+        content = path.read_bytes()
+        path.unlink()
+        if path.suffix == ".gz":
+            path.with_suffix("").write_bytes(gzip.decompress(content))
+        else:
+            path.with_name(f"{path.name}.gz").write_bytes(gzip.compress(content))
+    done = harness("verify-submission", archive, *where)
+    assert done.stdout.splitlines()[-1] == "valid: 2 results, 2 witnesses replayed"
+    done = harness("score", tmp_path / "run", "--recheck", "--json", *where)
+    assert json.loads(done.stdout.splitlines()[0])["score"] == 20

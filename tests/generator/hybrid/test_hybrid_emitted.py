@@ -159,10 +159,25 @@ def test_what_a_format_cannot_say_is_left_out(tmp_path, add_controller):
     assert {path.split("/")[1].split(".")[1] for path in both if "verisig" in path} == {"calm"}
 
 
-def test_large_controllers_are_left_out(tmp_path, add_controller):
-    file = ControllerFile.load(add_controller(tmp_path, "A", rays=3200))
-    instance = make_instance(Question("A", "x", "0.7"), file, 4.0, tmp_path / "x.json")
-    assert hybrid_part(Packing.PARTS, file, [instance]) == {}
+@pytest.mark.parametrize(
+    ("name", "rays", "printed"),
+    [
+        ("TD3_L61_8_C1", 61, {"full_range"}),
+        ("TD3_L61_8_C2", 61, set()),  # differs in weights only
+        ("TD3_L62_8_C1", 62, set()),
+        ("TD3_L3200_8_C1", 3200, {"full_scan"}),  # 25,600 weights
+        ("TD3_L10001_8_C1", 10001, set()),
+    ],
+)
+def test_large_controllers_and_further_seeds_are_left_out(
+    tmp_path, make_controller, name, rays, printed
+):
+    file = ControllerFile(tmp_path / f"{name}.onnx", b"", make_controller(rays))
+    assert {
+        category
+        for category in ("full_range", "full_scan")
+        if CATEGORIES[category].asks(rays) and CATEGORIES[category].printed(file)
+    } == printed
 
 
 def test_a_check_compares_what_is_compressed(tmp_path, root):

@@ -140,7 +140,7 @@ SMALL = [path for path in PUBLISHED if path.stat().st_size < 20_000][::60]
 
 @cache
 def read_twice(path):
-    text = read_unpacked(path)[1].decode()
+    text = read_unpacked(path).decode()
     other = Read(text)
     return read_query(text, path.name), other, other.boxes()
 
@@ -164,7 +164,7 @@ def test_every_published_file_can_be_read():
     assert len(PUBLISHED) > 500
     pairs = {}
     for path in PUBLISHED[::15]:
-        query = read_query(read_unpacked(path)[1].decode(), path.name)
+        query = read_query(read_unpacked(path).decode(), path.name)
         pairs.setdefault(path.stem, []).append(query.version)
         assert query.version == path.parent.name
     assert pairs

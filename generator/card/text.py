@@ -1,0 +1,129 @@
+"""The text of the data card."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from generator.card.claims import claims
+from generator.card.facts import CategoryFacts, Dataset
+from generator.categories import CATEGORIES
+from generator.hybrid.part import Packing
+from generator.instances import ControllerFile
+from racecar.instance import read_text
+
+_HERE = Path(__file__).parent
+#: Where the documentation shows how an instance is read with json and onnxruntime alone.
+READING = "docs/categories.md", "## Reading an instance without this package\n"
+
+
+@dataclass(frozen=True)
+class _Tally:
+    """What is known about a category, ready to be printed."""
+
+    name: str
+    sat: int
+    unsat: int
+    unknown: int
+    untried: int
+    proved: str
+    found: str
+    seconds: str
+
+
+def card_text(root: Path, dataset: Dataset, figures: Sequence[str]) -> str:
+    """Return benchmarks/README.md; figures: names of the files there are."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_HERE),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    counts = {
+        category.name: Counter(asked.controller for asked in category.instances)
+        for category in dataset.categories
+    }
+    return environment.get_template("README.md.jinja").render(
+        dataset=dataset,
+        total=sum(len(category.instances) for category in dataset.categories),
+        version=version("closedlap"),
+        formats={category.name: _formats(category.name) for category in dataset.categories},
+        timeouts={category.name: _timeouts(category) for category in dataset.categories},
+        controllers=[_controller(dataset, file) for file in dataset.controllers],
+        counts=counts,
+        tallies=[_tally(category) for category in dataset.categories if category.results],
+        unknown=[category.name for category in dataset.categories if not category.results],
+        claims=claims(dataset),
+        figures=figures,
+        reading=_reading(root),
+    )
+
+
+def _formats(name: str) -> str:
+    category = CATEGORIES.get(name)
+    if category is None:
+        return ""
+    if category.make:
+        return "VNN-LIB 1.0 and 2.0"
+    hybrid = "" if category.packing is Packing.NONE else ", Flow*, SpaceEx, Verisig"
+    return f"JSON{hybrid}"
+
+
+def _timeouts(category: CategoryFacts) -> str:
+    seconds = sorted({asked.timeout for asked in category.instances})
+    return f"{seconds[0]}" if len(seconds) == 1 else f"{seconds[0]} to {seconds[-1]}"
+
+
+def _controller(dataset: Dataset, file: ControllerFile) -> dict[str, Any]:
+    record = dataset.records[file.name]
+    hidden = [layer for layer in file.controller.layers if len(layer.biases) > 1]
+    return {
+        "name": file.name,
+        "rays": file.controller.rays,
+        "layers": "x".join(str(len(layer.biases)) for layer in hidden),
+        "activation": "/".join(dict.fromkeys(layer.activation for layer in hidden)),
+        "weights": file.weights,
+        "seed": record.seed,
+        "tried": len(record.tried),
+        "label": record.label,
+        "margin": record.nominal.margin,
+    }
+
+
+def _tally(category: CategoryFacts) -> _Tally:
+    in_metres = category.name not in CATEGORIES or CATEGORIES[category.name].make is None
+    results = category.results if in_metres else []
+    proved = [x.lower for x in results if x.verdict == "unsat" and x.lower is not None]
+    found = [x.upper for x in results if x.verdict == "sat" and x.upper is not None]
+    times = [x.seconds for x in category.results if x.decided and x.seconds is not None]
+    return _Tally(
+        category.name,
+        category.count("sat"),
+        category.count("unsat"),
+        category.count("unknown"),
+        len(category.instances) - len(category.results),
+        _range(proved),
+        _range(found),
+        f"{statistics.median(times):.2g} / {max(times):.2g}" if times else "",
+    )
+
+
+def _range(margins: Sequence[float]) -> str:
+    return f"{min(margins):.4f} to {max(margins):.4f}" if margins else ""
+
+
+def _reading(root: Path) -> str:
+    """Return the program of the documentation that reads an instance; nothing without it."""
+    path, heading = root / READING[0], READING[1]
+    if not path.exists():
+        return ""
+    section = read_text(path).decode().partition(heading)[2].partition("\n##")[0]
+    return "\n".join(line[4:] for line in section.splitlines() if line.startswith("    "))
