@@ -63,14 +63,13 @@ class Candidates:
         if given is None:
             return None
         shape = (instance.steps, plant.lidar.rays, len(self))
-        walls = given.mirrors
         return GivenFaults(
             plant.track.width,
             plant.lidar.range,
             self.gone.T,
             given.turn_only,
             np.broadcast_to(self.noise.T, shape) if given.noise else None,
-            None if walls is None else mirroring(walls, plant, self.mirror),
+            mirroring(given.mirrors, plant, self.mirror),
         )
 
     def witness(self, index: int, instance: Instance) -> Witness:

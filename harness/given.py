@@ -76,7 +76,7 @@ def make_faults(instance: Instance, witness: Witness) -> GivenFaults | None:
         gone = table[0] if disturbance.choice == "run" else table
     noise = np.array(witness.noise)[..., None] if witness.noise else None
     mirrors = None
-    if witness.mirror is not None and disturbance.mirrors is not None:
+    if witness.mirror is not None:
         mirrors = mirroring(disturbance.mirrors, instance.make_plant(), witness.mirror)
     width, turn_only = instance.plant.width, disturbance.turn_only
     return GivenFaults(width, lidar.range, gone, turn_only, noise, mirrors)

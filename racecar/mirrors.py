@@ -93,8 +93,13 @@ class Mirroring:
         return lost
 
 
-def mirroring(mirrors: Mirrors, plant: Plant, chosen: ArrayLike) -> Mirroring:
-    """Return the mirrors of runs; chosen: index of a segment for each run, or -1 (or for all)."""
+def mirroring(mirrors: Mirrors | None, plant: Plant, chosen: ArrayLike) -> Mirroring | None:
+    """Return the mirrors of runs; None if no wall may mirror.
+
+    chosen: the index of a segment, or -1, for each run or for all of them.
+    """
+    if mirrors is None:
+        return None
     return Mirroring(
         plant,
         mirrors.incidence,

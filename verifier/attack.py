@@ -126,9 +126,7 @@ def _given(problem: Problem) -> Disturbance:
 def mirrors_of(problem: Problem, chosen: ArrayLike) -> Mirroring | None:
     """Return the mirrors of runs; chosen: a segment for each run or -1. None: there are none."""
     given = problem.disturbance
-    if given is None or given.mirrors is None:
-        return None
-    return mirroring(given.mirrors, problem.plant, chosen)
+    return None if given is None else mirroring(given.mirrors, problem.plant, chosen)
 
 
 def steering_gradient(controller: Controller, scan: Array | Single) -> Single:

@@ -33,6 +33,7 @@ from generator.hybrid.expression import ZERO, Variable, constant
 from generator.hybrid.sight import Face, alike, check_walls_unsafe, zones
 from generator.hybrid.steps import Step, decide, linked
 from racecar.controller import Controller
+from racecar.errors import BadInput
 from racecar.instance import AdvanceData, Instance
 
 #: Index of the control period, from 0.
@@ -116,6 +117,11 @@ class _Builder:
         self.halls = kinds
         self.classes, self.kinds, self._name = kinds.of, kinds.met, kinds.name
         spoil = instance.disturbance
+        if spoil is not None and spoil.mirrors is not None:
+            raise BadInput(
+                f"{instance.id}: the hybrid automaton does not know walls that mirror; "
+                "use the instance's own JSON"
+            )
         self.spoil = spoil and Spoil(spoil, rays, instance.plant.lidar.range, instance.plant.width)
         self.modes: list[Mode] = []
         self.jumps: list[Jump] = []
