@@ -206,19 +206,26 @@ _FAULTS = tuple(
     for choice in ("run", "step")
     for width, steps in (("20", 38), ("20", 40), ("20", 42), ("20", 45), ("200", 70))
 )
-# One stretch that mirrors, or any of the list; and a missing ray among noisy ones.
+
+
+def _single(wall: Literal["left", "front"], near: str, far: str) -> tuple[str, tuple[Segment]]:
+    return f"{wall}{near}to{far}m", (_stretch(wall, near, far),)
+
+
+# One stretch that mirrors, or any of the list. Single ones are those that rays meet at shallow
+# angles: of the front wall not the first two metres, which the car faces.
 _MIRRORS = tuple(
     _mirrors(label, segments, width)
     for label, segments in (
-        *(
-            (f"{wall}{near}to{far}m", (_stretch(wall, near, far),))
-            for wall in ("left", "front")
-            for near, far in (("0", "1"), ("1", "2"))
-        ),
+        _single("left", "0", "1"),
+        _single("left", "1", "2"),
+        _single("front", "2", "3"),
+        _single("front", "3", "4"),
         ("any1mof0to4m", _STRETCHES),
     )
     for width in ("20", "200")
 )
+# A missing ray among noisy ones.
 _MIXED = tuple(
     _noise_and_faults(millimetres, 1, width, steps)
     for millimetres in (2, 5)

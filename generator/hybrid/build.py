@@ -28,12 +28,17 @@ from generator.hybrid.automaton import (
     leave,
 )
 from generator.hybrid.dialect import Dialect, F, S, Sight
-from generator.hybrid.disturb import Spoil, disturbance_variables, spoiled, start_disturbance
+from generator.hybrid.disturb import (
+    Spoil,
+    disturbance_variables,
+    refuse_mirrors,
+    spoiled,
+    start_disturbance,
+)
 from generator.hybrid.expression import ZERO, Variable, constant
 from generator.hybrid.sight import Face, alike, check_walls_unsafe, zones
 from generator.hybrid.steps import Step, decide, linked
 from racecar.controller import Controller
-from racecar.errors import BadInput
 from racecar.instance import AdvanceData, Instance
 
 #: Index of the control period, from 0.
@@ -117,11 +122,7 @@ class _Builder:
         self.halls = kinds
         self.classes, self.kinds, self._name = kinds.of, kinds.met, kinds.name
         spoil = instance.disturbance
-        if spoil is not None and spoil.mirrors is not None:
-            raise BadInput(
-                f"{instance.id}: the hybrid automaton does not know walls that mirror; "
-                "use the instance's own JSON"
-            )
+        refuse_mirrors(instance)
         self.spoil = spoil and Spoil(spoil, rays, instance.plant.lidar.range, instance.plant.width)
         self.modes: list[Mode] = []
         self.jumps: list[Jump] = []
