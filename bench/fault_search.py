@@ -6,8 +6,8 @@ PATTERN: of the instances' IDs, as in a shell; default: the instances of categor
 mirrors, and those with noise and missing rays. Each is searched on one core for S seconds (the
 witness search of the reference verifier, which begins anew where it is stuck) or until a witness
 is found, which counts only if the harness's own replay of it is ``correct``. Prints one line for
-each; with --table, a Markdown table of questions and controllers: ``sat`` and the time to the
-witness, or the least margin (mm) that was found.
+each; with --table, a Markdown table of questions and controllers: ``sat``, or the least margin
+(mm) that was found.
 """
 
 # ruff: noqa: E402 (the environment must be set before NumPy is imported)
@@ -70,7 +70,7 @@ def table(found: Sequence[dict[str, object]]) -> str:
     for one in found:
         controller, _, question = str(one["instance"]).split(".", 2)
         sat = one["result"] == "sat"
-        text = f"sat ({one['time_s']:.0f} s)" if sat else f"{1000 * float(str(one['margin'])):.1f}"
+        text = "sat" if sat else f"{1000 * float(str(one['margin'])):.1f}"
         cells.setdefault(question, {})[controller] = text
     controllers = sorted({c for row in cells.values() for c in row})
     lines = [["question", *controllers], ["---"] * (len(controllers) + 1)]
