@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from decimal import Decimal
@@ -12,8 +13,9 @@ from generator.instances import MOST_RAYS, MOST_WEIGHTS, ControllerFile, Questio
 from generator.openloop.part import MakePart, open_loop_part
 from generator.partition import Partition
 from generator.unrolled.part import unrolled_part
-from racecar.disturbance import Disturbance
+from racecar.disturbance import Disturbance, Mirrors
 from racecar.experiment import FULL_SCAN_RAYS
+from racecar.faultmodels.spec import Segment
 
 LOWER, UPPER = "0.65", "0.85"
 
@@ -188,6 +190,37 @@ def _faults(missing: int, choice: Literal["run", "step"], width: str, steps: int
     return _disturbed("faults", f"m{missing}.{choice}.", disturbance, width, steps)
 
 
+def _noise_and_faults(millimetres: int, missing: int, width: str, steps: int) -> Question:
+    disturbance = Disturbance(
+        noise=millimetres / 1000, missing=missing, turn_only=True, choice="run"
+    )
+    return _disturbed("faults", f"n{millimetres}mm.m{missing}.run.", disturbance, width, steps)
+
+
+def _stretch(wall: Literal["left", "front"], near: str, far: str) -> Segment:
+    """Return a stretch of an outer wall at the first turn: from near to far of the corner, m."""
+    ends = (0.0, float(near)), (0.0, float(far))
+    if wall == "front":
+        ends = (float(near), 0.0), (float(far), 0.0)
+    return Segment(hall=0, begin=ends[0], end=ends[1])
+
+
+#: Beyond this angle (degrees, from its normal) a wall mirrors.
+_INCIDENCE = 45
+#: Stretches of 1 m, one every 0.5 m, on either outer wall up to 4 m from the first corner.
+_STRETCHES = tuple(
+    _stretch(wall, f"{Decimal(i) / 2}", f"{Decimal(i) / 2 + 1}")
+    for wall in ("left", "front")
+    for i in range(7)
+)
+
+
+def _mirrors(label: str, segments: tuple[Segment, ...], width: str) -> Question:
+    mirrors = Mirrors(segments=segments, incidence=math.radians(_INCIDENCE))
+    disturbance = Disturbance(noise=0, missing=0, turn_only=False, choice="run", mirrors=mirrors)
+    return _disturbed("faults", f"mirror{_INCIDENCE}deg.{label}.", disturbance, width, 70)
+
+
 # The car comes to the turn, where rays may be missing, at about the 37th control instant. So the
 # horizon says how many scans are spoiled: one, three, five, eight, or all of the turn. With a ray
 # less, simulated runs crash between the 42nd and the 50th instant, if they do.
@@ -196,6 +229,31 @@ _FAULTS = tuple(
     for missing in (1, 2, 5)
     for choice in ("run", "step")
     for width, steps in (("20", 38), ("20", 40), ("20", 42), ("20", 45), ("200", 70))
+)
+
+
+def _single(wall: Literal["left", "front"], near: str, far: str) -> tuple[str, tuple[Segment]]:
+    return f"{wall}{near}to{far}m", (_stretch(wall, near, far),)
+
+
+# One stretch that mirrors, or any of the list. Single ones are those that rays meet at shallow
+# angles: of the front wall not the first two metres, which the car faces.
+_MIRRORS = tuple(
+    _mirrors(label, segments, width)
+    for label, segments in (
+        _single("left", "0", "1"),
+        _single("left", "1", "2"),
+        _single("front", "2", "3"),
+        _single("front", "3", "4"),
+        ("any1mof0to4m", _STRETCHES),
+    )
+    for width in ("20", "200")
+)
+# A missing ray among noisy ones.
+_MIXED = tuple(
+    _noise_and_faults(millimetres, 1, width, steps)
+    for millimetres in (2, 5)
+    for width, steps in (("20", 40), ("20", 70), ("200", 70))
 )
 _NOISE = tuple(
     _noise(millimetres, width, steps)
@@ -248,7 +306,7 @@ CATEGORIES = {
             packing=Packing.ARCHIVE,
         ),
         Category("noise", timeout=120, asked=_NOISE),
-        Category("faults", timeout=120, asked=_FAULTS),
+        Category("faults", timeout=120, asked=(*_FAULTS, *_MIRRORS, *_MIXED)),
         Category("lap", timeout=300, asked=_LAPS),
         Category("open_loop", timeout=60, make=open_loop_part, scans="any"),
         Category("unrolled", timeout=60, make=unrolled_part),

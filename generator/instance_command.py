@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +93,20 @@ def _range_option(name: str, default: str | None, text: str) -> Callable[[Any], 
 )
 @click.option("--missing-everywhere", is_flag=True, help="Not only in the turn.")
 @click.option(
+    "--mirror",
+    "stretches",
+    nargs=4,
+    multiple=True,
+    metavar="S F S F",
+    help="A stretch of wall that may mirror, from one end to the other, m; may be repeated: at "
+    "most one of them does.",
+)
+@click.option(
+    "--mirror-incidence",
+    metavar="DEG",
+    help="Rays are lost at more than this from the wall's normal  [default: 45]",
+)
+@click.option(
     "--property",
     "safety",
     type=click.Choice(list(PROPERTIES)),
@@ -119,6 +133,8 @@ def instance(
     missing: int,
     missing_choice: str | None,
     missing_everywhere: bool,
+    stretches: tuple[tuple[str, str, str, str], ...],
+    mirror_incidence: str | None,
     safety: str,
     steps: int,
     fov: float | None,
@@ -134,7 +150,8 @@ def instance(
     """
     file = ControllerFile.load(onnx)
     view = default_field_of_view(file.controller.rays) if fov is None else math.radians(fov)
-    disturbance = _disturbance(noise, missing, missing_choice, missing_everywhere)
+    mirrors = _mirrors(stretches, mirror_incidence)
+    disturbance = _disturbance(noise, missing, missing_choice, missing_everywhere, mirrors)
     question = Question(
         name or output.stem,
         category,
@@ -154,20 +171,39 @@ def instance(
         click.echo(f"wrote {output}: {made.id}")
 
 
+def _mirrors(
+    stretches: Sequence[tuple[str, str, str, str]], incidence: str | None
+) -> dict[str, Any] | None:
+    """Return the mirrors asked for, as data; BadInput if the options do not fit together."""
+    if not stretches:
+        if incidence is not None:
+            raise BadInput("--mirror-incidence says how walls mirror; give --mirror as well")
+        return None
+    segments = []
+    for stretch in stretches:
+        s0, f0, s1, f1 = (float(exact_decimal(x)) for x in stretch)
+        segments.append({"hall": 0, "begin": [s0, f0], "end": [s1, f1]})
+    degrees = float(exact_decimal("45" if incidence is None else incidence))
+    if not 0 <= degrees < 90:
+        raise BadInput(f"--mirror-incidence is {incidence} degrees; give 0 or more, below 90")
+    return {"segments": segments, "incidence": math.radians(degrees)}
+
+
 def _disturbance(
-    noise: str, missing: int, choice: str | None, everywhere: bool
+    noise: str, missing: int, choice: str | None, everywhere: bool, mirrors: dict[str, Any] | None
 ) -> Disturbance | None:
     """Return the disturbance asked for; BadInput if the options do not fit together."""
     if not missing and (choice or everywhere):
         option = "--missing-choice" if choice else "--missing-everywhere"
         raise BadInput(f"{option} says which rays may be missing; give --missing K as well")
-    data = {
+    data: dict[str, Any] = {
         "noise": float(exact_decimal(noise)),
         "missing": missing,
         "turn_only": not everywhere,
         "choice": choice or "run",
+        "mirrors": mirrors,
     }
-    if data["noise"] == 0 and not missing:
+    if data["noise"] == 0 and not missing and mirrors is None:
         return None
     try:
         return parse_data(Disturbance, json.dumps(data))

@@ -1,7 +1,8 @@
 """The tool ``simulate``: look for a start from which the car enters the unsafe set.
 
-It simulates batches of starts, random ones and ones near the best so far, and says sat only
-if the strict check that judges witnesses passes. It never says unsat.
+It simulates batches of starts, random ones and ones near the best so far, with disturbances if
+the instance has any, and says sat only if the strict check that judges witnesses passes. It
+never says unsat.
 
 Called as ``python -m harness.falsifier SPEC RESULTS TIMEOUT`` by tools/simulate/run_instance.sh.
 """
@@ -17,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
+from harness.candidates import Candidates, crossed, disturbed
 from harness.records import Verdict
 from harness.replay import Replayer
 from racecar.controller import write_whole
@@ -27,6 +29,8 @@ from racecar.witness import Witness, format_witness
 
 #: Starts a round, rounds, and best starts that are kept from round to round.
 LARGEST_BATCH, ROUNDS, ELITE = 512, 24, 8
+#: With a disturbance the first round has at least so many.
+_FIRST = 128
 #: Of the timeout this share is used, less the time (seconds) that the process takes to end.
 SHARE, ENDING_S = 0.9, 0.2
 #: Of a batch at most this many starts are checked strictly, one by one.
@@ -68,7 +72,7 @@ class Box:
 
 
 def falsify(instance: Instance, spec: Path, seconds: float, seed: int = 0) -> Witness | None:
-    """Return a start that the strict check accepts, or None if none was found.
+    """Return a witness that the strict check accepts, or None if none was found.
 
     seconds: how long to look; with enough of them the search ends after ROUNDS rounds, so
     that the answer is the same everywhere.
@@ -76,52 +80,59 @@ def falsify(instance: Instance, spec: Path, seconds: float, seed: int = 0) -> Wi
     deadline = time.monotonic() + seconds
     replayer = Replayer(instance, spec)
     box, random = Box(*instance.initial_set.bounds()), np.random.default_rng(seed)
+    given, rays, plant = instance.disturbance, instance.plant.lidar.rays, instance.make_plant()
     starts = box.corners()
-    elite, margins, radius = np.empty((0, 4)), np.empty(0), np.empty(0)
-    point = not np.any(box.width > 0)
+    if given is not None:
+        starts = np.tile(starts, (-(-_FIRST // len(starts)), 1))
+    tried = disturbed(starts, given, rays, random)
+    elite, margins, radius = tried.take(np.empty(0, dtype=np.intp)), np.empty(0), np.empty(0)
+    only_one = given is None and not np.any(box.width > 0)
     per_start = 0.0
     for number in range(ROUNDS + 1):
         begin = time.monotonic()
-        found = replayer.margins(starts)
-        per_start = (time.monotonic() - begin) / len(starts)
-        witness = _strict(replayer, starts, found)
-        if witness is not None or point or number == ROUNDS:
+        found = replayer.margins(tried.starts, tried.faults(instance, plant))
+        per_start = (time.monotonic() - begin) / len(tried)
+        witness = _strict(replayer, tried, found)
+        if witness is not None or only_one or number == ROUNDS:
             return witness
-        elite, margins, radius = _select(elite, margins, radius, starts, found)
+        elite, margins, radius = _select(elite, margins, radius, tried, found)
         left = deadline - time.monotonic()
         count = min(LARGEST_BATCH, int(left / 4 / max(per_start, 1e-9)))
         if count < 2:
             return None
-        local = box.near(elite, radius, count - count // 2, random)
-        starts = np.concatenate([box.sample(count // 2, random), local])
+        parents = np.arange(count - count // 2) % len(elite)
+        local = box.near(elite.starts, radius, len(parents), random)
+        fresh = disturbed(box.sample(count // 2, random), given, rays, random)
+        others = disturbed(local, given, rays, random)
+        near = crossed(elite.take(parents).at(local), others, given, random)
+        tried = Candidates.join([fresh, near])
     return None
 
 
-def _strict(replayer: Replayer, starts: Array, margins: Array) -> Witness | None:
-    """Return the first of the unsafe starts, the worst first, that passes alone."""
+def _strict(replayer: Replayer, tried: Candidates, margins: Array) -> Witness | None:
+    """Return the first of the unsafe candidates, the worst first, that passes alone."""
     for index in np.argsort(margins)[:_STRICT]:
         if not margins[index] <= 0:
             return None
-        s, f, v, theta = (float(x) for x in starts[index])
-        witness = Witness(s=s, f=f, v=v, theta=theta)
+        witness = tried.witness(int(index), replayer.instance)
         if replayer.margin(witness) <= 0:
             return witness
     return None
 
 
 def _select(
-    elite: Array, margins: Array, radius: Array, starts: Array, found: Array
-) -> tuple[Array, Array, Array]:
-    """Return the best starts so far, their margins, and how far around each to look next.
+    elite: Candidates, margins: Array, radius: Array, tried: Candidates, found: Array
+) -> tuple[Candidates, Array, Array]:
+    """Return the best candidates so far, their margins, and how far around each to look next.
 
     A start that stays among the best is searched more and more closely.
     """
     # Of NaN margins nothing can be said; they go last.
     found = np.nan_to_num(found, nan=np.inf)
-    pool, values = np.concatenate([elite, starts]), np.concatenate([margins, found])
-    radii = np.concatenate([radius / 2, np.full(len(starts), 0.1)])
+    pool, values = Candidates.join([elite, tried]), np.concatenate([margins, found])
+    radii = np.concatenate([radius / 2, np.full(len(tried), 0.1)])
     best = np.argsort(values, kind="stable")[:ELITE]
-    return pool[best], values[best], radii[best]
+    return pool.take(best), values[best], radii[best]
 
 
 def _process_age() -> float:

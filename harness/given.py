@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from racecar.faults import GivenFaults
 from racecar.instance import Instance
+from racecar.mirrors import mirroring
 from racecar.witness import Witness
 
 
@@ -18,10 +19,12 @@ def check_shape(instance: Instance, witness: Witness) -> None:
     """Raise Malformed if the disturbances have not the shape that the instance asks for."""
     disturbance, rays = instance.disturbance, instance.plant.lidar.rays
     if disturbance is None:
-        for name in ("missing", "noise"):
+        for name in ("missing", "noise", "mirror"):
             if getattr(witness, name) is not None:
                 raise Malformed(f"{name}: the instance has no disturbance")
         return
+    if witness.mirror is not None and disturbance.mirrors is None:
+        raise Malformed("mirror: no wall of the instance mirrors")
     if witness.missing and witness.missing_per_step != (disturbance.choice == "step"):
         one = "a list of rays for each step" if disturbance.choice == "step" else "one list of rays"
         raise Malformed(f"missing: the instance asks for {one}")
@@ -34,7 +37,7 @@ def check_shape(instance: Instance, witness: Witness) -> None:
 
 
 def complaint(instance: Instance, witness: Witness) -> str | None:
-    """Return why the missing rays (of the right shape) are not allowed; None if they are."""
+    """Return why missing rays or mirror (of the right shape) are not allowed; None if they are."""
     disturbance, rays = instance.disturbance, instance.plant.lidar.rays
     if disturbance is None:
         return None
@@ -44,6 +47,10 @@ def complaint(instance: Instance, witness: Witness) -> str | None:
         if len(set(row)) > disturbance.missing:
             allowed = disturbance.missing
             return f"{len(set(row))} rays are missing at a time, {allowed} may be"
+    if witness.mirror is not None and disturbance.mirrors is not None:
+        count = len(disturbance.mirrors.segments)
+        if not 0 <= witness.mirror < count:
+            return f"the mirror {witness.mirror} is not one of the segments 0 to {count - 1}"
     return None
 
 
@@ -56,7 +63,7 @@ def given_steps(instance: Instance, witness: Witness) -> int:
 def make_faults(instance: Instance, witness: Witness) -> GivenFaults | None:
     """Return the disturbances as faults of one run; None if the instance has none.
 
-    They must be of the right shape, and the missing rays allowed.
+    They must be of the right shape, and the missing rays and the mirror allowed.
     """
     disturbance, lidar = instance.disturbance, instance.plant.lidar
     if disturbance is None:
@@ -68,7 +75,11 @@ def make_faults(instance: Instance, witness: Witness) -> GivenFaults | None:
             table[step, row] = True
         gone = table[0] if disturbance.choice == "run" else table
     noise = np.array(witness.noise)[..., None] if witness.noise else None
-    return GivenFaults(instance.plant.width, lidar.range, gone, disturbance.turn_only, noise)
+    mirrors = None
+    if witness.mirror is not None:
+        mirrors = mirroring(disturbance.mirrors, instance.make_plant(), witness.mirror)
+    width, turn_only = instance.plant.width, disturbance.turn_only
+    return GivenFaults(width, lidar.range, gone, turn_only, noise, mirrors)
 
 
 def _rows(instance: Instance, witness: Witness) -> dict[str, list]:

@@ -97,7 +97,7 @@ _SENTENCES = {
     WitnessOutcome.WRONG: "What the witness gives does not lead into the unsafe set.",
     WitnessOutcome.OUT_OF_BOX: (
         "The witness gives what the instance does not allow: a number is off by more than the "
-        "tolerance, or rays are missing that may not be."
+        "tolerance, or rays are missing, or a wall mirrors, that may not."
     ),
     WitnessOutcome.MALFORMED: "The witness has not the form that the instance asks for.",
     WitnessOutcome.MISSING: "There is no witness.",
@@ -114,8 +114,8 @@ class WitnessCheck(Data):
     queries: violation is by how much the network's outputs meet the condition that the query
     asserts of them (negative: by how much they miss it), in the outputs' own unit. outside is the
     largest distance of a number from what the instance allows, in its own unit (0: allowed); null
-    where no distance tells, as with rays that may not be missing. Where there was nothing to
-    replay, or nothing that has such a number, it is null.
+    where no distance tells, as with rays that may not be missing, or a mirror that is none. Where
+    there was nothing to replay, or nothing that has such a number, it is null.
     """
 
     format: Literal["closedlap-witness-check"] = "closedlap-witness-check"

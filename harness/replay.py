@@ -58,24 +58,25 @@ class Position:
     """Where a witness lies relative to what the instance allows; doubles are compared exactly.
 
     distance: the largest distance of a coordinate of the start from the initial set, in its own
-    unit; noise: by how much (m) the largest noise is too large; rays: why the missing rays are
-    not allowed, if they are not; within: whether no number is off by more than the tolerance.
+    unit; noise: by how much (m) the largest noise is too large; refused: why the missing rays or
+    the mirror are not allowed, if they are not; within: whether no number is off by more than
+    the tolerance.
     """
 
     distance: float
     noise: float
-    rays: str | None
+    refused: str | None
     within: bool
 
     @property
     def inside(self) -> bool:
         """Whether the instance allows the witness, without any tolerance."""
-        return self.distance == 0 and self.noise == 0 and self.rays is None
+        return self.distance == 0 and self.noise == 0 and self.refused is None
 
     @property
     def outside(self) -> float | None:
-        """The largest distance of a number from what is allowed; None if rays are not allowed."""
-        return max(self.distance, self.noise) if self.rays is None else None
+        """The largest distance of a number from what is allowed; None if a choice is not."""
+        return max(self.distance, self.noise) if self.refused is None else None
 
 
 def position(instance: Instance, witness: Witness) -> Position:
@@ -85,13 +86,13 @@ def position(instance: Instance, witness: Witness) -> Position:
     lower, upper = instance.initial_set.bounds()
     distance = float(np.max(np.maximum(np.maximum(lower - start, start - upper), 0.0)))
     within = bool(np.all((start >= lower - TOLERANCE) & (start <= upper + TOLERANCE)))
-    rays, excess = complaint(instance, witness), 0.0
+    refused, excess = complaint(instance, witness), 0.0
     if witness.noise and instance.disturbance is not None:
         bound = instance.disturbance.noise
         largest = float(np.max(np.abs(witness.noise)))
         excess = max(largest - bound, 0.0)
         within = within and largest <= bound + TOLERANCE
-    return Position(distance, excess, rays, within and rays is None)
+    return Position(distance, excess, refused, within and refused is None)
 
 
 class Replayer:
@@ -196,8 +197,8 @@ def _describe(outcome: WitnessOutcome, place: Position, margin: float) -> str:
         parts.append(f"the start lies {place.distance:.3g} outside the initial set")
     if place.noise > 0:
         parts.append(f"the noise is {place.noise:.3g} m too large")
-    if place.rays is not None:
-        parts.append(place.rays)
+    if place.refused is not None:
+        parts.append(place.refused)
     if place.within and math.isnan(margin):
         parts.append("the network returned a value that is not finite")
     elif place.within:

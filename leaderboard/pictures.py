@@ -125,6 +125,8 @@ class _Group:
         self.onnx = question.onnx
         self.plant: Plant = self.instance.make_plant()
         self.safety: Property = self.instance.make_property()
+        given = self.instance.disturbance
+        self._mirrors = given.mirrors.segments if given is not None and given.mirrors else ()
         self.boxes = [InitialSet.model_validate(_data(order)["initial_set"]) for order in orders]
 
     def draw(self) -> Iterator[tuple[Order, bytes]]:
@@ -134,7 +136,9 @@ class _Group:
         for i, order in enumerate(self.orders):
             run, given = witnesses.get(i), order.witness
             witness = (given[0], run) if given is not None and run is not None else None
-            picture = scene(self.plant, self.safety, traces[i], witness, self._tube(order))
+            picture = scene(
+                self.plant, self.safety, traces[i], witness, self._tube(order), self._mirrors
+            )
             yield order, script("scene", order.key, picture)
 
     def _samples(self) -> list[list[Trace]]:

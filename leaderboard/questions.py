@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -151,4 +152,8 @@ def _disturbance(data: Mapping[str, Any]) -> str:
         how = "the same in the whole run" if data["choice"] == "run" else "others at each step"
         rays = "ray" if data["missing"] == 1 else "rays"
         parts.append(f"up to {data['missing']} missing {rays} {when}, {how}")
+    if mirrors := data.get("mirrors"):
+        count, degrees = len(mirrors["segments"]), math.degrees(mirrors["incidence"])
+        walls = "a stretch of wall" if count == 1 else f"one of {count} stretches of wall"
+        parts.append(f"{walls} may mirror rays at more than {degrees:.4g}° from its normal")
     return "; ".join(parts)

@@ -15,7 +15,9 @@ import numpy as np
 from leaderboard.traces import Trace
 from leaderboard.tube import Tube
 from racecar.closed_loop import Plant
+from racecar.faultmodels.spec import Segment
 from racecar.figure import clip
+from racecar.mirrors import stretch_ends
 from racecar.polygon import Array, Polygon
 from racecar.safety import Property
 
@@ -32,10 +34,12 @@ def scene(
     traces: Sequence[Trace],
     witness: tuple[str, Trace] | None,
     tube: Tube | None,
+    mirrors: Sequence[Segment] = (),
 ) -> dict[str, Any]:
     """Return what the page's script draws; lengths in metres, angles in radians.
 
-    witness: the tool that gave it, and its run.
+    witness: the tool that gave it, and its run; mirrors: the stretches of wall of which one may
+    mirror.
     """
     shown = [*traces, *([witness[1]] if witness else [])]
     points = [np.column_stack([t.x, t.y]) for t in shown]
@@ -51,6 +55,7 @@ def scene(
         "view": [_round(value) for value in (low[0], low[1], high[0], high[1])],
         "walls": _walls(plant, low, high),
         "unsafe": _unsafe(safety, low, high),
+        "mirrors": _polygons(list(stretch_ends(mirrors, plant.track))),
         "traces": [_trace(trace) for trace in traces],
         "witness": witness and {"tool": witness[0], **_trace(witness[1])},
         "tube": tube and {"margin": tube.margin, "steps": [_polygons(s) for s in tube.steps]},
@@ -112,6 +117,8 @@ def _trace(trace: Trace) -> dict[str, Any]:
     }
     if any(trace.missing):
         data["missing"] = [list(rays) for rays in trace.missing]
+    if trace.mirror is not None:
+        data["mirror"] = trace.mirror
     return data
 
 

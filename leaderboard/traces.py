@@ -15,8 +15,9 @@ import numpy as np
 from harness.given import Malformed, check_shape, complaint, given_steps, make_faults
 from racecar.closed_loop import Disturb, Plant, State, Steer, simulate
 from racecar.disturbance import Disturbance
-from racecar.faults import GivenFaults, in_turn
+from racecar.faults import GivenFaults
 from racecar.instance import InitialSet, Instance
+from racecar.mirrors import mirroring
 from racecar.polygon import Array
 from racecar.safety import Property
 from racecar.witness import Witness
@@ -35,8 +36,9 @@ class Trace:
 
     start: s, f, v, theta (m, m, m/s, rad); x, y, heading: global, ``[k + 1]`` (m, m, rad);
     margin: ``[k + 1]``, at the instants (m); least: ``[k]``, the least along each period (m);
-    steering: ``[k]`` (rad); missing: for each of the k steps the rays that are missing; crashed:
-    whether it ends because the car is in the unsafe set at its last instant.
+    steering: ``[k]`` (rad); missing: for each of the k steps the rays that are missing or that a
+    mirror takes; crashed: whether it ends because the car is in the unsafe set at its last instant;
+    mirror: index of the stretch of wall that mirrors, if one does.
     """
 
     start: tuple[float, float, float, float]
@@ -48,6 +50,7 @@ class Trace:
     steering: Array
     missing: Sequence[Sequence[int]]
     crashed: bool
+    mirror: int | None = None
 
 
 def sample_starts(box: InitialSet) -> Array:
@@ -96,7 +99,7 @@ def drive(
             steering = np.nan_to_num(trace["steering"][:, step])
             least[:, step] = plant.arc_margin(safety, state, plant.drive(state, steering)[1], far)
             if isinstance(disturb, GivenFaults):
-                missing.append(_missing(disturb, step, state, plant.track.width))
+                missing.append(_missing(disturb, step, state, plant))
     x, y, heading = plant.track.to_global(*(trace[name] for name in ("frame", "s", "f", "theta")))
     traces = []
     for car, end in enumerate(last):
@@ -114,21 +117,28 @@ def drive(
                 trace["steering"][car, :end],
                 gone,
                 bool(runs.crash_step[car] >= 0),
+                _mirror(disturb, car),
             )
         )
     return traces
 
 
-def _missing(faults: GivenFaults, step: int, state: State, width: float) -> dict[int, list[int]]:
+def _missing(faults: GivenFaults, step: int, state: State, plant: Plant) -> dict[int, list[int]]:
     """Return which rays are missing in a step, of the cars that miss some."""
-    if faults.gone is None:
+    if faults.gone is None and faults.mirrors is None:
         return {}
-    gone = faults.gone[step] if faults.gone.ndim == 3 else faults.gone
-    gone = np.broadcast_to(gone, (len(gone), len(state)))
     found: dict[int, list[int]] = {}
-    for car, ray in np.argwhere((gone & in_turn(state, width) if faults.turn_only else gone).T):
+    for car, ray in np.argwhere(faults.missing(step, state, plant.scan_rows(state)).T):
         found.setdefault(int(car), []).append(int(ray))
     return found
+
+
+def _mirror(faults: Disturb | None, car: int) -> int | None:
+    """Return which stretch mirrors for a car."""
+    if not isinstance(faults, GivenFaults) or faults.mirrors is None:
+        return None
+    chosen = int(faults.mirrors.chosen[car])
+    return chosen if chosen >= 0 else None
 
 
 def sample_faults(
@@ -143,6 +153,7 @@ def sample_faults(
     each_step = disturbance.choice == "step"
     gone = np.zeros((steps, rays, cars) if each_step else (rays, cars), dtype=bool)
     noise = np.zeros((steps, rays, cars)) if disturbance.noise else None
+    mirror = np.full(cars, -1)
     for place, name in enumerate(names):
         seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8])
         random = np.random.default_rng(seed)
@@ -153,12 +164,15 @@ def sample_faults(
                 noise[..., car] = random.uniform(
                     -disturbance.noise, disturbance.noise, (steps, rays)
                 )
+            if disturbance.mirrors is not None:
+                mirror[car] = random.integers(len(disturbance.mirrors.segments))
     return GivenFaults(
         plant.track.width,
         plant.lidar.range,
         gone if disturbance.missing else None,
         disturbance.turn_only,
         noise,
+        mirroring(disturbance.mirrors, plant, mirror),
     )
 
 
@@ -171,6 +185,7 @@ def given_faults(instance: Instance, witnesses: Sequence[Witness]) -> GivenFault
         return None
     shape = (instance.steps, instance.plant.lidar.rays, len(witnesses))
     gone, noise = np.zeros(shape, dtype=bool), np.zeros(shape)
+    mirror = [-1 if w.mirror is None else w.mirror for w in witnesses]
     for car, witness in enumerate(witnesses):
         faults = make_faults(instance, witness)
         assert faults is not None
@@ -180,12 +195,19 @@ def given_faults(instance: Instance, witnesses: Sequence[Witness]) -> GivenFault
             gone[: len(faults.gone), :, car] = faults.gone[..., 0]
         if faults.noise is not None:
             noise[: len(faults.noise), :, car] = faults.noise[..., 0]
-    plant = instance.plant
-    return GivenFaults(plant.width, plant.lidar.range, gone, instance.disturbance.turn_only, noise)
+    plant, given = instance.make_plant(), instance.disturbance
+    return GivenFaults(
+        plant.track.width,
+        plant.lidar.range,
+        gone,
+        given.turn_only,
+        noise,
+        mirroring(given.mirrors, plant, mirror),
+    )
 
 
 def fits(instance: Instance, witness: Witness) -> bool:
-    """Whether a witness has the shape that an instance asks for, and its rays may be missing."""
+    """Whether a witness has the form that an instance asks for, and its choices are allowed."""
     try:
         check_shape(instance, witness)
     except Malformed:
@@ -207,6 +229,7 @@ def cut(trace: Trace, steps: int) -> Trace:
         trace.steering[:steps],
         trace.missing[:steps],
         False,
+        trace.mirror,
     )
 
 

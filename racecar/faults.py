@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from racecar.closed_loop import State
 from racecar.errors import BadInput
+from racecar.mirrors import Mirroring
 from racecar.polygon import Array
 
 #: The turn, for faults, begins this far (metres) before the corner square.
@@ -93,12 +94,13 @@ class DrawnFaults:
 class GivenFaults:
     """Faults of a batch of runs, value by value; called on each scan (closed_loop.Disturb).
 
-    Noise is added, the sum is clipped to [0, reach], and then missing rays read ``reach``.
+    Noise is added, the sum is clipped to [0, reach], and then rays that are missing and rays
+    that a mirroring wall takes read ``reach``.
 
     width: of the halls (metres); reach: range of the LiDAR (metres); gone: which rays are
     missing, ``[rays, runs]`` for the whole run or ``[steps, rays, runs]``; turn_only: whether
     they are missing only where ``0 < s < W and f <= W + 1``; noise: ``[steps, rays, runs]``,
-    metres.
+    metres; mirrors: which stretch of wall mirrors, in the turn or not.
     """
 
     width: float
@@ -106,16 +108,26 @@ class GivenFaults:
     gone: NDArray[np.bool_] | None = None
     turn_only: bool = True
     noise: Array | None = None
+    mirrors: Mirroring | None = None
 
     def __call__(self, step: int, state: State, scan: Array) -> Array:
         """Return the scan ``[rays, runs]`` (metres) with noise added and rays missing."""
+        noisy = scan
         if self.noise is not None:
-            scan = np.clip(scan + self.noise[step], 0.0, self.reach)
+            noisy = np.clip(scan + self.noise[step], 0.0, self.reach)
+        if self.gone is None and self.mirrors is None:
+            return noisy
+        return np.where(self.missing(step, state, scan), self.reach, noisy)
+
+    def missing(self, step: int, state: State, scan: Array) -> NDArray[np.bool_]:
+        """Return which rays read ``reach``, ``[rays, runs]``; scan: undisturbed, metres."""
+        missing = np.zeros(scan.shape, dtype=bool)
         if self.gone is not None:
             gone = self.gone[step] if self.gone.ndim == 3 else self.gone
-            gone = gone & in_turn(state, self.width) if self.turn_only else gone
-            scan = np.where(gone, self.reach, scan)
-        return scan
+            missing |= gone & in_turn(state, self.width) if self.turn_only else gone
+        if self.mirrors is not None:
+            missing |= self.mirrors.lost(state, scan)
+        return missing
 
 
 def in_turn(state: State, width: float) -> NDArray[np.bool_]:

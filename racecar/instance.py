@@ -25,6 +25,7 @@ from racecar.data import Data, Number, Positive, parse_data
 from racecar.disturbance import Disturbance
 from racecar.errors import BadInput
 from racecar.lidar import Lidar
+from racecar.mirrors import complaint_about
 from racecar.polygon import Polygon
 from racecar.safety import PROPERTIES, Property, named_property
 from racecar.track import Hall, Track
@@ -139,7 +140,8 @@ class Instance(Data):
     """One question: can the car, from some start state, enter the unsafe set?
 
     The car may be unsafe at any time in ``[0, steps * period]``, not only at control
-    instants. With a disturbance, also: for some of the noise and missing rays that it allows.
+    instants. With a disturbance, also: for some of the noise, missing rays and mirrors that it
+    allows.
     """
 
     format: Literal["closedlap-instance"] = "closedlap-instance"
@@ -179,6 +181,11 @@ class Instance(Data):
             raise ValueError(
                 f"disturbance.missing: {disturbance.missing} of {rays} rays cannot be missing"
             )
+        if disturbance is not None and disturbance.mirrors is not None:
+            for i, segment in enumerate(disturbance.mirrors.segments):
+                complaint = complaint_about(segment, plant.track)
+                if complaint is not None:
+                    raise ValueError(f"disturbance.mirrors.segments.{i}: {complaint}")
         lower, upper = self.initial_set.bounds()
         for wall in plant.track.frames[0].obstacles:
             if wall.relevant(lower[:2], upper[:2], 0.0) is not None:

@@ -39,6 +39,11 @@ class Witness(Data):
     noise: list[list[Number]] | None = Field(
         default=None, description="m, for each step one number per ray; left out: 0"
     )
+    mirror: int | None = Field(
+        default=None,
+        description="index of the segment of the disturbance's mirrors that mirrors for the "
+        "whole run (0: the first); left out: none does",
+    )
 
     @property
     def missing_per_step(self) -> bool:

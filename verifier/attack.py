@@ -1,24 +1,26 @@
-"""Attacks on a disturbed car: a start, rays that are missing, and a push for every step.
+"""Attacks on a disturbed car: a start, what is lost, and a push for every step.
 
 A car feels a disturbed scan only through one number, the steering. So noise need not be
 searched ray by ray: a push of u in [-1, 1] adds ``u * noise * sign(gradient of the steering)``
 to the scan, which moves the steering most to the left (u = 1) or right (u = -1). Where rays may
 be missing anew at every step, a push beyond half of its range picks those that move the steering
-most in its direction.
+most in its direction. Which wall mirrors is chosen once, like the start.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from racecar.closed_loop import State
 from racecar.controller import Controller, Layer
 from racecar.disturbance import Disturbance
 from racecar.faults import GivenFaults, in_turn
+from racecar.mirrors import Mirroring, mirroring
 from verifier.models import Array
 from verifier.problem import Problem
 
@@ -36,19 +38,25 @@ class Attacks:
     """A batch of attacks.
 
     start: ``[batch, 4]`` (s, f, v, theta); push: ``[batch, steps]``, in [-1, 1]; gone:
-    ``[batch, rays]``, which rays are missing (where a push does not pick others).
+    ``[batch, rays]``, which rays are missing (where a push does not pick others); mirror:
+    ``[batch]``, the index of the segment that mirrors, or -1.
     """
 
     start: Array
     push: Array
     gone: Mask
+    mirror: NDArray[np.intp]
 
     def __len__(self) -> int:
         return len(self.start)
 
     def take(self, index: NDArray | slice) -> Attacks:
         """Return the attacks at ``index``."""
-        return Attacks(self.start[index], self.push[index], self.gone[index])
+        return Attacks(*(getattr(self, x.name)[index] for x in fields(self)))
+
+    def repeated(self, count: int) -> Attacks:
+        """Return a single attack ``count`` times."""
+        return self.take(np.zeros(count, dtype=np.intp))
 
     @classmethod
     def join(cls, parts: list[Attacks]) -> Self:
@@ -61,7 +69,8 @@ class Attacks:
 class Pushed:
     """What attacks make of scans, step by step (closed_loop.Disturb).
 
-    noise, gone: what was done at each step, ``[rays, batch]`` each, kept if ``keep``.
+    noise, gone, lost: what was done at each step (noise, missing rays, rays that a mirror takes),
+    ``[rays, batch]`` each, kept if ``keep``.
     """
 
     problem: Problem
@@ -69,6 +78,12 @@ class Pushed:
     keep: bool = False
     noise: list[Array] = field(default_factory=list)
     gone: list[Mask] = field(default_factory=list)
+    lost: list[Mask] = field(default_factory=list)
+
+    @cached_property
+    def mirrors(self) -> Mirroring | None:
+        """The mirrors of the attacks."""
+        return mirrors_of(self.problem, self.attacks.mirror)
 
     def __call__(self, step: int, state: State, scan: Array) -> Array:
         """Return the scan ``[rays, batch]`` (m) under attack."""
@@ -79,22 +94,26 @@ class Pushed:
         if given.turn_only:
             active = in_turn(state, plant.track.width)
         gone = self.attacks.gone.T & active
+        lost = np.zeros_like(gone) if self.mirrors is None else self.mirrors.lost(state, scan)
         noise = np.zeros_like(scan)
         with np.errstate(all="ignore"):  # only a guess is made of what comes out here
             if given.noise:
-                seen = np.where(gone, plant.lidar.range, scan)
+                seen = np.where(gone | lost, plant.lidar.range, scan)
                 slope = np.nan_to_num(steering_gradient(controller, seen))
                 noise = given.noise * push * np.sign(slope)
             if given.missing and given.choice == "step":
                 picks = np.flatnonzero(active & (np.abs(push) > PICKS))
-                noisy = np.clip(scan + noise, 0.0, plant.lidar.range)[:, picks]
+                noisy = np.clip(scan + noise, 0.0, plant.lidar.range)
+                noisy = np.where(lost, plant.lidar.range, noisy)[:, picks]
                 gone[:, picks] = strongest_missing(
                     controller, noisy, np.sign(push[picks]), given.missing, plant.lidar.range
                 )
         if self.keep:
             self.noise.append(noise)
             self.gone.append(gone)
-        faults = GivenFaults(plant.track.width, plant.lidar.range, gone, False, noise[None])
+            self.lost.append(lost)
+        away = gone | lost
+        faults = GivenFaults(plant.track.width, plant.lidar.range, away, False, noise[None])
         return faults(0, state, scan)
 
 
@@ -102,6 +121,12 @@ def _given(problem: Problem) -> Disturbance:
     if problem.disturbance is None:
         raise ValueError("the problem has no disturbance")
     return problem.disturbance
+
+
+def mirrors_of(problem: Problem, chosen: ArrayLike) -> Mirroring | None:
+    """Return the mirrors of runs; chosen: a segment for each run or -1. None: there are none."""
+    given = problem.disturbance
+    return None if given is None else mirroring(given.mirrors, problem.plant, chosen)
 
 
 def steering_gradient(controller: Controller, scan: Array | Single) -> Single:

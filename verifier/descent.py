@@ -6,6 +6,8 @@ are tried in several lengths.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -97,9 +99,8 @@ def _varied(search: Search, attack: Attacks, flip: bool) -> Attacks:
     for i, axis in enumerate(free):
         for j, side in enumerate((-1, 1)):
             start[len(blocks) + 2 * i + j, axis] += side * _NUDGE * width[axis]
-    return Attacks(
-        np.clip(start, search.lower, search.upper), push, np.repeat(attack.gone, count, axis=0)
-    )
+    start = np.clip(start, search.lower, search.upper)
+    return replace(attack.repeated(count), start=start, push=push)
 
 
 def _side(push: Array) -> Array:
@@ -134,8 +135,5 @@ def _moved(search: Search, attack: Attacks, varied: Attacks, change: Array) -> A
         starts += [attack.start[0] + move * width * down for move in _START_MOVES]
     start = np.repeat(np.array(starts), len(pushes), axis=0)
     push = np.tile(np.array(pushes), (len(starts), 1))
-    return Attacks(
-        np.clip(start, search.lower, search.upper),
-        push,
-        np.repeat(attack.gone, len(start), axis=0),
-    )
+    start = np.clip(start, search.lower, search.upper)
+    return replace(attack.repeated(len(start)), start=start, push=push)

@@ -11,7 +11,7 @@ import numpy as np
 from racecar.closed_loop import State, Steer, simulate
 from racecar.faults import GivenFaults
 from verifier.adversary import worst_attacks
-from verifier.attack import Attacks, Mask, Pushed
+from verifier.attack import Attacks, Mask, Pushed, mirrors_of
 from verifier.models import Array
 from verifier.problem import Problem
 from verifier.rows import THETA, F, S, V
@@ -30,13 +30,15 @@ class Worst:
     """The worst run found: its start ``[4]`` (s, f, v, theta) and its margin (m).
 
     missing: which rays are missing, ``[rays]`` or ``[steps, rays]``; noise: ``[steps, rays]``,
-    metres; None: none. Both go on as long as the run, which ends at a crash.
+    metres; None: none. Both go on as long as the run, which ends at a crash. mirror: index of the
+    segment that mirrors; None: none does.
     """
 
     start: Array
     margin: float
     missing: Mask | None = None
     noise: Array | None = None
+    mirror: int | None = None
 
     def witness(self) -> dict[str, Any]:
         """Return the witness as plain data, as the harness reads it after ``sat``."""
@@ -47,6 +49,8 @@ class Worst:
             data["missing"] = [np.flatnonzero(row).tolist() for row in self.missing]
         if self.noise is not None:
             data["noise"] = self.noise.tolist()
+        if self.mirror is not None:
+            data["mirror"] = self.mirror
         return data
 
 
@@ -58,17 +62,20 @@ def worst_start(
     seed: int = 0,
     runs: int = RUNS,
     seconds: float = np.inf,
+    again: bool = False,
 ) -> Worst:
     """Search for the run of the least margin that starts in the box [lower, upper]; seeded.
 
-    runs, seconds: bounds on the search for disturbances, kept roughly.
+    runs, seconds: bounds on the search for disturbances, kept roughly; again: whether it uses
+    them up, and begins anew where it is stuck.
     """
     random = np.random.default_rng(seed)
     if problem.disturbance is None:
         start, margin = lowest_start(lambda x: _margins(problem, steer, x), lower, upper, random)
         # By itself a run is not quite what it is in a batch, where sums go in another order.
         return Worst(start, margin if margin > 0 else _replayed(problem, steer, start)[0])
-    search = Search(problem, steer, lower, upper, random, runs, time.monotonic() + seconds)
+    deadline = time.monotonic() + seconds
+    search = Search(problem, steer, lower, upper, random, runs, deadline, again)
     attacks = worst_attacks(search)
     worst = stated(problem, steer, attacks.take(slice(1)))
     for i in range(1, min(len(attacks), MOST_STATED)):
@@ -96,13 +103,16 @@ def stated(problem: Problem, steer: Steer, attack: Attacks) -> Worst:
         noise[step], gone[step] = row[:, 0] + 0.0, missing[:, 0]  # no -0.0
     if given is not None and given.choice == "run":
         gone = attack.gone[0] & gone.any()
-    worst = Worst(attack.start[0], np.nan, gone, noise)
+    # A mirror that no ray meets is none.
+    mirror = int(attack.mirror[0]) if any(lost.any() for lost in pushed.lost) else None
+    worst = Worst(attack.start[0], np.nan, gone, noise, mirror)
     margin, driven = _replayed(problem, steer, worst)
     return Worst(
         worst.start,
         margin,
         (gone if gone.ndim == 1 else gone[:driven]) if gone.any() else None,
         noise[:driven] if noise[:driven].any() else None,
+        mirror,
     )
 
 
@@ -119,6 +129,7 @@ def _replayed(problem: Problem, steer: Steer, worst: Worst | Array) -> tuple[flo
             None if worst.missing is None else worst.missing[..., None],
             problem.disturbance.turn_only,
             None if worst.noise is None else worst.noise[..., None],
+            None if worst.mirror is None else mirrors_of(problem, worst.mirror),
         )
         if worst.noise is not None:
             steps = min(steps, len(worst.noise))

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from racecar.closed_loop import State, Steer, simulate
 from racecar.disturbance import Disturbance
@@ -21,7 +22,8 @@ NOT_A_RUN = 1e9
 class Search:
     """What is searched, and how much of the search is left.
 
-    lower, upper: start box ``[4]``; runs: still to be simulated; deadline: of time.monotonic.
+    lower, upper: start box ``[4]``; runs: still to be simulated; deadline: of time.monotonic;
+    again: whether a search that is stuck begins anew as long as it may.
     """
 
     problem: Problem
@@ -31,6 +33,7 @@ class Search:
     random: np.random.Generator
     runs: int
     deadline: float = np.inf
+    again: bool = False
 
     @property
     def over(self) -> bool:
@@ -49,6 +52,12 @@ class Search:
     def pushed(self) -> bool:
         """Whether pushes have an effect."""
         return self.given.noise > 0 or self.picks
+
+    @property
+    def mirrors(self) -> NDArray[np.intp]:
+        """What may mirror: no wall (-1), or one of the segments."""
+        given = self.given.mirrors
+        return np.arange(-1, 0 if given is None else len(given.segments))
 
     @property
     def picks(self) -> bool:

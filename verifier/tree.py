@@ -29,11 +29,13 @@ def grow(
     steer: Steer,
     starts: Array,
     gone: Mask,
+    mirror: int,
     random: np.random.Generator,
 ) -> Attacks:
     """Return the attacks of least margin in a tree as wide as there are starts, ``[width, 4]``.
 
-    gone: rays that are missing, ``[rays]``. The tree is cut where the car becomes unsafe.
+    gone: rays that are missing, ``[rays]``; mirror: index of the segment that mirrors, or -1.
+    The tree is cut where the car becomes unsafe.
     """
     width, steps, plant = len(starts), problem.steps, problem.plant
     state = State.start(*starts.T)
@@ -48,7 +50,7 @@ def grow(
             push = np.concatenate([-np.ones(count), np.ones(count), random.uniform(-1, 1, count)])
             parent = np.tile(np.arange(count), WAYS)
             before = state.take(parent)
-            pushed = Pushed(problem, _now(push, gone))
+            pushed = Pushed(problem, _now(push, gone, mirror))
             scan = pushed(0, before, np.tile(plant.scan_rows(state), (1, WAYS)))
             after, arc = plant.drive(before, steer(scan))
             margins = plant.arc_margin(problem.safety, before, arc, np.full(len(parent), np.inf))
@@ -63,7 +65,10 @@ def grow(
             pushes.append(push[safe[kept]])
     leaves = sorted(leaves)[:LEAVES]
     attacks = Attacks(
-        np.empty((len(leaves), 4)), np.zeros((len(leaves), steps)), np.tile(gone, (len(leaves), 1))
+        np.empty((len(leaves), 4)),
+        np.zeros((len(leaves), steps)),
+        np.tile(gone, (len(leaves), 1)),
+        np.full(len(leaves), mirror),
     )
     for i, (_, step, node, last) in enumerate(leaves):
         attacks.push[i, step] = last
@@ -74,10 +79,12 @@ def grow(
     return attacks
 
 
-def _now(push: Array, gone: Mask) -> Attacks:
+def _now(push: Array, gone: Mask, mirror: int) -> Attacks:
     """Return attacks of one step."""
     count = len(push)
-    return Attacks(np.zeros((count, 4)), push[:, None], np.tile(gone, (count, 1)))
+    return Attacks(
+        np.zeros((count, 4)), push[:, None], np.tile(gone, (count, 1)), np.full(count, mirror)
+    )
 
 
 def different(state: State, most: int, random: np.random.Generator) -> NDArray[np.intp]:

@@ -25,6 +25,8 @@ SEARCH_SHARE, SEARCH_MOST = 0.2, 30.0
 #: Runs of more control periods than this are proved safe for ever, if that succeeds; the
 #: falsifier looks at no more of them.
 LONG = 1000
+#: What is said of an instance with mirrors that is not sat.
+MIRRORS = "a wall may mirror: a witness is searched for, but nothing can be proved yet"
 #: Open pieces that are searched for a witness.
 MOST_SEARCHED = 64
 
@@ -55,7 +57,10 @@ def verify_recorded(
     outcomes: list[Outcome] = []
     pieces: list[Piece] = []
     note = ""
-    if not (worst.margin <= 0 and confirmed(problem, steer, worst)):
+    found = worst.margin <= 0 and confirmed(problem, steer, worst)
+    if not found and problem.disturbance is not None and problem.disturbance.mirrors is not None:
+        note = MIRRORS
+    elif not found:
         try:
             if problem.steps > LONG:
                 circle = prove_forever(problem, box, worst.margin, deadline, report)

@@ -28,7 +28,13 @@ from generator.hybrid.automaton import (
     leave,
 )
 from generator.hybrid.dialect import Dialect, F, S, Sight
-from generator.hybrid.disturb import Spoil, disturbance_variables, spoiled, start_disturbance
+from generator.hybrid.disturb import (
+    Spoil,
+    disturbance_variables,
+    refuse_mirrors,
+    spoiled,
+    start_disturbance,
+)
 from generator.hybrid.expression import ZERO, Variable, constant
 from generator.hybrid.sight import Face, alike, check_walls_unsafe, zones
 from generator.hybrid.steps import Step, decide, linked
@@ -116,6 +122,7 @@ class _Builder:
         self.halls = kinds
         self.classes, self.kinds, self._name = kinds.of, kinds.met, kinds.name
         spoil = instance.disturbance
+        refuse_mirrors(instance)
         self.spoil = spoil and Spoil(spoil, rays, instance.plant.lidar.range, instance.plant.width)
         self.modes: list[Mode] = []
         self.jumps: list[Jump] = []

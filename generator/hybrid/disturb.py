@@ -9,7 +9,9 @@ from generator.hybrid.automaton import Assignment, Constraint, Jump, Mode, State
 from generator.hybrid.expression import Expression, Variable, constant
 from generator.hybrid.steps import Branch, Step, decide
 from racecar.disturbance import Disturbance
+from racecar.errors import BadInput
 from racecar.faults import TURN_LEAD
+from racecar.instance import Instance
 
 #: How many rays are missing: at the control instant, or in the run.
 GONE = Variable("gone")
@@ -63,6 +65,15 @@ class Spoil:
     def some_left(self) -> Constraint:
         """One more ray may be missing."""
         return Constraint(GONE, "<=", self.data.missing - 0.5)
+
+
+def refuse_mirrors(instance: Instance) -> None:
+    """Raise BadInput if a wall of the instance may mirror: no automaton says that."""
+    if instance.disturbance is not None and instance.disturbance.mirrors is not None:
+        raise BadInput(
+            f"{instance.id}: the hybrid automaton does not know walls that mirror; "
+            "use the instance's own JSON"
+        )
 
 
 def disturbance_variables(spoil: Spoil) -> list[StateVariable]:

@@ -16,6 +16,7 @@ from typing import Any
 from generator.hybrid.automaton import Assignment, Automaton, Mode, StateVariable
 from generator.hybrid.build import build
 from generator.hybrid.dialect import V
+from generator.hybrid.disturb import refuse_mirrors
 from generator.hybrid.expression import (
     Call,
     Expression,
@@ -45,6 +46,7 @@ def verisig_automaton(instance: Instance, controller: Controller) -> Automaton:
     Raises BadInput for what Verisig cannot say: disturbances, and activations other than tanh
     and sigmoid before a last linear layer.
     """
+    refuse_mirrors(instance)
     if instance.disturbance is not None:
         raise BadInput(
             f"{instance.id}: Verisig stops where several jumps are open; instances with noise or "

@@ -30,7 +30,8 @@
   // Which rays are missing at some time; nothing to say of most instances.
   const faults = (run) => {
     const rays = [...new Set((run.missing || []).flat())].sort((a, b) => a - b);
-    if (!rays.length) return "";
+    if (!rays.length) return run.mirror === undefined ? "" : `, wall ${run.mirror} mirrors and meets no ray`;
+    if (run.mirror !== undefined) return `, wall ${run.mirror} mirrors: ${rays.length} rays missing at times`;
     return rays.length > 6 ? `, ${rays.length} rays missing at times` : `, missing: ${rays.join(", ")}`;
   };
   runs.forEach((run, i) => {
@@ -204,6 +205,8 @@
   items.push(["ray wall", "ray that meets a wall"]);
   if (runs.some((one) => one.missing)) items.push(["ray missing", "missing ray"]);
   items.push(["unsafe-mark", "unsafe set"]);
+  if (scene.mirrors.length) items.push(["mirror", "wall that may mirror"]);
+  if (runs.some((one) => one.mirror !== undefined)) items.push(["mirror now", "wall that mirrors in the chosen run"]);
   for (const [kind, text] of items) {
     const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
     svg.setAttribute("viewBox", "0 0 24 10");

@@ -26,6 +26,7 @@
     const world = draw("g", { transform: "scale(1 -1)" }, svg);
     for (const polygon of scene.unsafe) draw("path", { class: "unsafe", d: path(polygon, true) }, world);
     for (const polygon of scene.walls) draw("path", { class: "wall", d: path(polygon, true) }, world);
+    const mirrors = scene.mirrors.map((ends) => draw("path", { class: "mirror", d: path(ends, false) }, world));
     const tube = draw("g", { class: "tube" }, world);
     const sets = (scene.tube ? scene.tube.steps : []).map((polygons) => {
       const step = draw("g", {}, tube);
@@ -52,6 +53,9 @@
 
     function choose(index) {
       lines.forEach((one, i) => one.classList.toggle("chosen", i === index));
+      const run = index < scene.traces.length ? scene.traces[index] : scene.witness;
+      mirrors.forEach((one, i) => one.classList.toggle("now", i === run.mirror));
+      if (run.mirror !== undefined) world.insertBefore(mirrors[run.mirror], tube);
       world.insertBefore(lines[index], rays);
     }
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from racecar.closed_loop import Plant, State
 from racecar.faultmodels.numbers import hashed, uniforms
-from racecar.faultmodels.reflect import lost_rays, segment_ends
+from racecar.faultmodels.reflect import segment_ends
 from racecar.faultmodels.spec import (
     Dropout,
     FaultSpec,
@@ -24,6 +24,7 @@ from racecar.faultmodels.spec import (
     Reflective,
 )
 from racecar.faults import in_turn
+from racecar.mirrors import lost_rays
 from racecar.polygon import Array
 
 #: Of the standard normal distribution: the logarithm of a log-normal size.

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from racecar.closed_loop import Plant, State
 from racecar.faultmodels.draw import SpecFaults
-from racecar.faultmodels.reflect import lost_rays
 from racecar.faultmodels.spec import MeasuredNoise, Noise, OneOf, Reflective
 from racecar.faults import in_turn
+from racecar.mirrors import lost_rays
 from racecar.polygon import Array
 
 

@@ -9,7 +9,7 @@ import pytest
 from certified import Proof
 from click.testing import CliRunner
 
-from verifier.certificate import write_certificate
+from verifier.certificate import instance_sha256, write_certificate
 from verifier.cli import main
 
 
@@ -53,6 +53,24 @@ def test_a_rejected_certificate(turn: Proof, tmp_path):
     status, said = run(tmp_path / "c.h5", turn.instance, "--json")
     assert status == 1
     assert json.loads(said)["verdict"] == "rejected"
+
+
+def test_a_proof_says_nothing_of_walls_that_mirror(turn: Proof, tmp_path):
+    """The rows are those of the same question without mirrors, where they are valid."""
+    data = json.loads(turn.instance.read_bytes())
+    wall = {"hall": 0, "begin": [0.0, 1.0], "end": [0.0, 2.0]}
+    data["disturbance"] = {
+        "noise": 0.0, "missing": 0, "turn_only": False, "choice": "run",
+        "mirrors": {"segments": [wall], "incidence": 0.7},
+    }  # fmt: skip
+    # Beside the other, as its controller is found from there.
+    mirrored = turn.instance.with_name("mirrored.json")
+    mirrored.write_text(json.dumps(data))
+    signed = replace(turn.certificate, instance_sha256=instance_sha256(mirrored.read_bytes()))
+    write_certificate(signed, tmp_path / "c.h5")
+    status, said = run(tmp_path / "c.h5", mirrored)
+    assert status == 1
+    assert said.startswith("rejected: a wall of the instance may mirror")
 
 
 def test_inputs_that_cannot_be_read(turn: Proof, certificate, tmp_path):

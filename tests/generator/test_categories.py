@@ -43,6 +43,8 @@ def test_every_number_of_an_id_is_the_instances(instances):
         assert instance.steps == int(said.get("k", 70))
         assert (disturbance.noise if disturbance else 0) == float(said.get("n", 0)) / 1000
         assert (disturbance.missing if disturbance else 0) == int(said.get("m", 0))
+        mirrors = disturbance is not None and disturbance.mirrors is not None
+        assert mirrors == label.startswith("mirror")
         if disturbance and disturbance.missing:
             assert f".{disturbance.choice}." in label
             assert disturbance.turn_only
@@ -67,15 +69,38 @@ def test_every_start_is_safe_itself(instances):
 
 def test_each_category_goes_from_little_to_much(instances):
     counts = Counter(category for category, _ in instances)
-    assert counts == {"state_box": 10, "noise": 16, "faults": 30, "lap": 6}
+    assert counts == {"state_box": 10, "noise": 16, "faults": 46, "lap": 6}
     noise = {i.disturbance.noise for (category, _), i in instances.items() if category == "noise"}
     assert noise == {0.002, 0.005, 0.01, 0.02}
     faults = {
         (i.disturbance.missing, i.disturbance.choice)
         for (category, _), i in instances.items()
-        if category == "faults"
+        if category == "faults" and i.disturbance.mirrors is None
     }
     assert faults == {(k, choice) for k in (1, 2, 5) for choice in ("run", "step")}
+
+
+def test_mirrors_are_the_stretches_that_the_id_says(instances):
+    mirrored = {label: i for (_, label), i in instances.items() if label.startswith("mirror")}
+    assert len(mirrored) == 10
+    for label, instance in mirrored.items():
+        mirrors, said = instance.disturbance.mirrors, label.split(".")
+        assert said[0] == f"mirror{math.degrees(mirrors.incidence):.12g}deg"
+        assert (instance.disturbance.noise, instance.disturbance.missing) == (0, 0)
+        # How far from the corner each stretch begins and ends, and on which wall.
+        found = []
+        for segment in mirrors.segments:
+            assert segment.hall == 0
+            wall, along = ("left", 1) if segment.begin[0] == segment.end[0] == 0 else ("front", 0)
+            assert segment.begin[1 - along] == segment.end[1 - along] == 0
+            found.append((wall, segment.begin[along], segment.end[along]))
+        if said[1] == "any1mof0to4m":
+            assert found == [
+                (wall, half / 2, half / 2 + 1) for wall in ("left", "front") for half in range(7)
+            ]
+        else:
+            wall, near, far = re.fullmatch(r"(left|front)(\d)to(\d)m", said[1]).groups()
+            assert found == [(wall, float(near), float(far))]
 
 
 def test_a_lap_takes_the_car_through_four_turns():

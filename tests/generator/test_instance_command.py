@@ -127,6 +127,25 @@ def test_disturbances_reach_the_file(onnx, tmp_path, options, expected):
     assert list(found) == ["noise", "missing", "turn_only", "choice"]
 
 
+def test_mirrors_reach_the_file(onnx, tmp_path):
+    output = tmp_path / "i.json"
+    options = "--mirror 0 1 0 2.5 --mirror 0.1 0 1 0 --mirror-incidence 30 --missing 1"
+    assert run(onnx, output, *options.split()).exit_code == 0
+    found = json.loads(output.read_text())["disturbance"]
+    assert found["missing"] == 1
+    assert found["mirrors"] == {
+        "segments": [
+            {"hall": 0, "begin": [0.0, 1.0], "end": [0.0, 2.5]},
+            {"hall": 0, "begin": [0.1, 0.0], "end": [1.0, 0.0]},
+        ],
+        "incidence": math.radians(30),
+    }
+    assert run(onnx, output, "--mirror", "0", "1", "0", "2").exit_code == 0
+    alone = load_instance(output).disturbance
+    assert (alone.noise, alone.missing) == (0, 0)
+    assert alone.mirrors.incidence == math.radians(45)
+
+
 def test_no_noise_and_no_missing_rays_are_no_disturbance(onnx, tmp_path):
     output = tmp_path / "i.json"
     assert run(onnx, output, "--noise", "0", "--missing", "0").exit_code == 0
@@ -146,6 +165,13 @@ BAD = {
     "another choice": ({"more": ("--missing", "1", "--missing-choice", "lap")}, "lap"),
     "a choice of no rays": ({"more": ("--missing-choice", "step")}, "give --missing K"),
     "no rays everywhere": ({"more": ("--missing-everywhere",)}, "give --missing K"),
+    "a mirror in the air": ({"more": ("--mirror", "0", "1", "0.1", "2")}, "mirrors.segments.0: "),
+    "a mirror of words": ({"more": ("--mirror", "0", "1", "0", "x")}, "'x' is not a decimal"),
+    "an angle of no mirror": ({"more": ("--mirror-incidence", "30")}, "give --mirror as well"),
+    "too large an angle": (
+        {"more": ("--mirror", "0", "1", "0", "2", "--mirror-incidence", "90")},
+        "give 0 or more, below 90",
+    ),
     "LO above HI": ({"start": ("0.7", "0.6")}, "lower bound 0.7 is above upper bound 0.6"),
     "a bound that is no number": ({"start": ("a", "0.6")}, "'a' is not a decimal number"),
     "a bound of NaN": ({"start": ("nan", "0.6")}, "exactly"),

@@ -15,7 +15,8 @@ from harness.records import WitnessOutcome
 from harness.replay import TOLERANCE, Replayer, check_witness
 from racecar.closed_loop import State
 from racecar.controller import save_controller
-from racecar.disturbance import Disturbance
+from racecar.disturbance import Disturbance, Mirrors
+from racecar.faultmodels.spec import Segment
 from racecar.instance import load_instance
 from racecar.witness import Witness
 
@@ -25,8 +26,16 @@ RAYS, MIDDLE = 21, 10
 TURN, HALL = {"s": 0.7, "f": 2.2, "v": 2.4}, {"s": 0.7, "f": 9.9, "v": 0.0}
 
 
-def disturbance(noise=0.0, missing=0, turn_only=True, choice="run"):
-    return Disturbance(noise=noise, missing=missing, turn_only=turn_only, choice=choice)
+def disturbance(noise=0.0, missing=0, turn_only=True, choice="run", mirrors=None):
+    return Disturbance(
+        noise=noise, missing=missing, turn_only=turn_only, choice=choice, mirrors=mirrors
+    )
+
+
+def left_wall(*stretches, degrees=45.0):
+    """Stretches of the first hall's left wall, as (from, to) in metres before the corner."""
+    segments = tuple(Segment(hall=0, begin=(0.0, a), end=(0.0, b)) for a, b in stretches)
+    return Mirrors(segments=segments, incidence=math.radians(degrees))
 
 
 def steering_controller(weights, bias=0.0):
@@ -57,10 +66,19 @@ def check(spec, place=HALL, **extra):
 # --- The run is the one that is given ----------------------------------------------------
 
 
-def run_by_hand(instance, onnx, start, noise, missing, points=2000):
+def mirrored(s, f, angle, distance, stretch):
+    """Tell whether a ray ends on a stretch of the left wall, 45 degrees or more off its normal."""
+    if math.sin(angle) <= 0 or abs(distance - s / math.sin(angle)) > 1e-9 or distance >= 5:
+        return False
+    return stretch[0] <= f - distance * math.cos(angle) <= stretch[1] and abs(
+        math.cos(angle)
+    ) > math.sqrt(0.5)
+
+
+def run_by_hand(instance, onnx, start, noise, missing, stretch=None, points=2000):
     """Drive one car with plain numbers; return the least margin seen.
 
-    noise: ``[step][ray]``; missing: ``[step]`` sets of rays.
+    noise: ``[step][ray]``; missing: ``[step]`` sets of rays; stretch: of the left wall, mirrors.
     """
     session = onnxruntime.InferenceSession(onnx, providers=["CPUExecutionProvider"])
     plant, rules = instance.make_plant(), instance.disturbance
@@ -70,9 +88,10 @@ def run_by_hand(instance, onnx, start, noise, missing, points=2000):
         state = State(np.array([frame]), *(np.array([x]) for x in (s, f, v, theta)))
         scan = [float(x) for x in plant.scan_rows(state)[:, 0]]
         in_turn = 0 < s < 1.5 and f <= 2.5
-        for ray in range(len(scan)):
+        for ray, angle in enumerate(plant.lidar.angles + theta):
+            gone = stretch is not None and mirrored(s, f, angle, scan[ray], stretch)
             scan[ray] = max(0.0, min(5.0, scan[ray] + noise[step][ray]))
-            if ray in missing[step] and (in_turn or not rules.turn_only):
+            if gone or (ray in missing[step] and (in_turn or not rules.turn_only)):
                 scan[ray] = 5.0
         ((steering,),) = session.run(None, {"scan": np.array([scan], np.float32)})[0]
         curvature = math.tan(float(steering)) / 0.45
@@ -94,14 +113,23 @@ def run_by_hand(instance, onnx, start, noise, missing, points=2000):
 
 
 @settings(max_examples=15)
-@given(seed=st.integers(0, 2**32 - 1), per_step=st.booleans(), turn_only=st.booleans())
-def test_the_replay_is_the_run_of_one_car_by_hand(tmp_path_factory, seed, per_step, turn_only):
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    per_step=st.booleans(),
+    turn_only=st.booleans(),
+    mirror=st.sampled_from([None, 0, 1]),
+)
+def test_the_replay_is_the_run_of_one_car_by_hand(
+    tmp_path_factory, seed, per_step, turn_only, mirror
+):
     random = np.random.default_rng(seed)
     benchmarks = Benchmarks(tmp_path_factory.mktemp("set"))
     weights = dict(enumerate(random.normal(size=RAYS) / 100))
     save_controller(steering_controller(weights, -sum(weights.values()) * 2.0), benchmarks.onnx)
     steps = 12
-    rules = disturbance(0.1, 2, turn_only, "step" if per_step else "run")
+    stretches = ((0.5, 1.5), (1.0, 4.0))
+    choice = "step" if per_step else "run"
+    rules = disturbance(0.1, 2, turn_only, choice, left_wall(*stretches))
     spec = benchmarks.add(
         "any", steps=steps, disturbance=rules, s=(0.7, 0.7), f=(3.2, 3.2), v=(2.0, 2.0)
     )
@@ -110,10 +138,12 @@ def test_the_replay_is_the_run_of_one_car_by_hand(tmp_path_factory, seed, per_st
     sets = [sorted(random.choice(RAYS, 2, replace=False).tolist()) for _ in range(steps)]
     missing = sets if per_step else [sets[0]] * steps
     witness = Witness(
-        s=0.7, f=3.2, v=2.0, theta=0.0, missing=sets if per_step else sets[0], noise=noise
-    )
+        s=0.7, f=3.2, v=2.0, theta=0.0, missing=sets if per_step else sets[0], noise=noise,
+        mirror=mirror,
+    )  # fmt: skip
+    stretch = None if mirror is None else stretches[mirror]
     found = Replayer(instance, spec).margin(witness)
-    expected = run_by_hand(instance, benchmarks.onnx, (0.7, 3.2, 2.0, 0.0), noise, missing)
+    expected = run_by_hand(instance, benchmarks.onnx, (0.7, 3.2, 2.0, 0.0), noise, missing, stretch)
     # By hand the least is looked for at points 0.12 mm apart.
     assert expected - 1.3e-4 <= found <= expected + 1e-9
 
@@ -152,6 +182,20 @@ def test_missing_rays_count_only_in_the_turn_unless_everywhere(add):
         place = HALL | {"v": 2.4}
         alone, gone = check(spec, place), check(spec, place, missing=[RAYS - 1])
         assert (alone.margin == gone.margin) is same
+
+
+def test_a_mirror_acts_after_the_noise_and_outside_the_turn(add):
+    """The ray 34.5 degrees to the left meets the left wall far from the turn."""
+    ray = MIDDLE + 3
+    mirrors = left_wall((8.0, 9.5), (5.0, 6.0))
+    spec = add(steering_controller({ray: 0.02}), disturbance(0.5, mirrors=mirrors), steps=4)
+    row = [0.0] * RAYS
+    row[ray] = -0.5
+    quiet = check(spec, mirror=0)
+    assert check(spec, mirror=0, noise=[row] * 4).margin == quiet.margin
+    assert check(spec, noise=[row] * 4).margin != check(spec).margin != quiet.margin
+    # No ray that counts meets the other stretch.
+    assert check(spec, mirror=1).margin == check(spec).margin
 
 
 # --- What is allowed ---------------------------------------------------------------------
@@ -224,7 +268,31 @@ def test_noise_of_another_shape_is_malformed(unsafe, shape):
     assert found.outcome is OUTCOME.MALFORMED
 
 
-@pytest.mark.parametrize("extra", [{"missing": []}, {"noise": []}, {"missing": [1]}])
+@pytest.mark.parametrize(
+    ("mirror", "outcome", "message"),
+    [
+        (0, OUTCOME.CORRECT, "least margin"),
+        (1, OUTCOME.CORRECT, "least margin"),
+        (2, OUTCOME.OUT_OF_BOX, "the mirror 2 is not one of the segments 0 to 1"),
+        (-1, OUTCOME.OUT_OF_BOX, "the mirror -1 is not one of the segments 0 to 1"),
+        (0.0, OUTCOME.MALFORMED, "mirror"),
+        ([0], OUTCOME.MALFORMED, "mirror"),
+    ],
+)
+def test_a_mirror_that_may_and_may_not_be(unsafe, mirror, outcome, message):
+    spec = unsafe(disturbance(mirrors=left_wall((0.0, 1.0), (1.0, 2.0))))
+    found = check(spec, UNSAFE, mirror=mirror)
+    assert found.outcome is outcome
+    assert message in found.message
+
+
+def test_an_instance_without_mirrors_takes_none(unsafe):
+    found = check(unsafe(disturbance(0.005)), UNSAFE, mirror=0)
+    assert found.outcome is OUTCOME.MALFORMED
+    assert "no wall of the instance mirrors" in found.message
+
+
+@pytest.mark.parametrize("extra", [{"missing": []}, {"noise": []}, {"missing": [1]}, {"mirror": 0}])
 def test_an_undisturbed_instance_takes_four_numbers_only(unsafe, extra):
     spec = unsafe(None)
     assert check(spec, UNSAFE).outcome is OUTCOME.CORRECT

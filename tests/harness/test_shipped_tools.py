@@ -2,19 +2,23 @@
 
 import importlib.util
 import json
+import math
 import os
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from harness_helpers import LONG, SOON, carriers, harness
+from harness_helpers import LONG, SOON, carriers, harness, straight_controller
 
 from harness import falsifier
 from harness.falsifier import Box, falsify
 from harness.records import WitnessOutcome
 from harness.replay import Replayer, check_witness
 from harness.tool import SHIPPED, find_tool, shipped_tools
+from racecar.controller import save_controller
+from racecar.disturbance import Disturbance, Mirrors
+from racecar.faultmodels.spec import Segment
 from racecar.instance import load_instance
 from racecar.witness import format_witness
 
@@ -53,6 +57,46 @@ def test_simulate_finds_what_is_obvious_and_claims_no_more(benchmarks, marker, t
         if result["result"] == "sat":
             assert result["witness_check"]["outcome"] == "correct"
     assert carriers(marker) == []
+
+
+SIDE = 13  # a ray 34.5 degrees to the left
+
+
+@pytest.mark.parametrize(
+    ("kind", "witness"),
+    [
+        ({"noise": 0.3}, lambda w: abs(w.noise[0][SIDE]) == 0.3),
+        ({"missing": 1}, lambda w: w.missing == [SIDE]),
+        ({"missing": 2, "choice": "step"}, lambda w: all(SIDE in rays for rays in w.missing)),
+        ({"mirrors": "wall"}, lambda w: w.mirror == 1),
+        ({"missing": 1, "noise": 1e-6, "mirrors": "wall"}, lambda w: True),
+    ],
+    ids=["noise", "missing for the run", "missing at every step", "mirror", "all"],
+)
+def test_simulate_finds_disturbances(benchmarks, kind, witness):
+    """One ray steers, and undisturbed the car goes straight enough for its few steps."""
+    controller = straight_controller()
+    # Small noise turns the car only if it is much and the wrong way that the reading counts.
+    weight = -0.4 if list(kind) == ["noise"] else 0.05
+    controller.layers[0].weights[0, SIDE] = weight
+    # s / sin(34.5 degrees) is what it reads from the middle.
+    controller.layers[0].biases[0] = -weight * 0.75 / math.sin(math.radians(34.5))
+    save_controller(controller, benchmarks.onnx)
+    stretches = [Segment(hall=0, begin=(0.0, a), end=(0.0, a + 3.0)) for a in (2.0, 6.0)]
+    given = {"noise": 0, "missing": 0, "turn_only": False, "choice": "run"} | kind
+    if "mirrors" in kind:
+        given["mirrors"] = Mirrors(segments=tuple(stretches), incidence=math.radians(10))
+    spec = benchmarks.add(
+        "disturbed", (0.745, 0.755), steps=9, disturbance=Disturbance(**given), v=(2.4, 2.4)
+    )
+    instance = load_instance(spec)
+    found = falsify(instance, spec, 20)
+    assert found is not None
+    assert witness(found)
+    assert check_witness(instance, spec, format_witness(found).encode()).outcome == "correct"
+    # Undisturbed there is no such start.
+    box = instance.model_copy(update={"disturbance": None})
+    assert falsify(box, spec, 2) is None
 
 
 @pytest.mark.parametrize("seed", range(3))

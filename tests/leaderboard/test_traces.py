@@ -1,11 +1,14 @@
 """Runs for pictures: the same as the simulator's and the judge's, and what is allowed."""
 
+import math
+
 import numpy as np
 import pytest
 from site_helpers import CLOSE, DRIVE, ROOT, WITNESS
 
 from harness.given import complaint
 from harness.replay import Replayer
+from leaderboard.scene import scene
 from leaderboard.traces import (
     DISTURBED,
     FEW,
@@ -20,7 +23,8 @@ from leaderboard.traces import (
 )
 from racecar.closed_loop import State, simulate
 from racecar.controller import RuntimeSteer
-from racecar.disturbance import Disturbance
+from racecar.disturbance import Disturbance, Mirrors
+from racecar.faultmodels.spec import Segment
 from racecar.instance import InitialSet, controller_path, load_instance
 from racecar.witness import Witness
 
@@ -112,6 +116,49 @@ def test_missing_rays_are_told_where_they_are_missing():
         if x < -2.5:
             assert rays == []
     assert [10] in trace.missing
+
+
+#: The left wall of the first hall: 1 to 2 m and 2 to 3 m before the corner.
+WALLS = Mirrors(
+    segments=tuple(Segment(hall=0, begin=(0.0, a), end=(0.0, a + 1.0)) for a in (1.0, 2.0)),
+    incidence=math.radians(45),
+)
+
+
+def test_rays_that_a_mirror_takes_are_told_and_the_stretch_is_drawn():
+    instance, steer = disturbed(mirrors=WALLS)
+    witnesses = [Witness(s=0.771, f=9.9, v=0, theta=0, mirror=mirror) for mirror in (None, 1)]
+    assert all(fits(instance, witness) for witness in witnesses)
+    assert not fits(instance, Witness(s=0.771, f=9.9, v=0, theta=0, mirror=2))
+    faults = given_faults(instance, witnesses)
+    plant, safety = instance.make_plant(), instance.make_property()
+    none, one = drive(plant, steer, safety, witness_starts(witnesses), 70, faults)
+    assert (none.mirror, one.mirror) == (None, 1)
+    assert not any(none.missing)
+    # In the plane that wall is y = 0, from x = -3 to x = -2.
+    taken = 0
+    for x, y, heading, rays in zip(one.x, one.y, one.heading, one.missing, strict=False):
+        expected = []
+        for ray, angle in enumerate(heading + plant.lidar.angles):
+            if math.sin(angle) <= 0 or -y / math.sin(angle) >= 5:
+                continue
+            if -3 <= x - y / math.tan(angle) <= -2 and abs(math.tan(angle)) < 1:
+                expected.append(ray)
+        assert rays == expected
+        taken += len(rays)
+    assert taken > 5
+    picture = scene(plant, safety, [none, one], ("tool", one), None, WALLS.segments)
+    assert picture["mirrors"] == [[[-1.0, 0.0], [-2.0, 0.0]], [[-2.0, 0.0], [-3.0, 0.0]]]
+    assert [run.get("mirror") for run in picture["traces"]] == [None, 1]
+    assert picture["witness"]["mirror"] == 1
+
+
+def test_sampled_runs_have_mirrors_but_the_first():
+    instance, _ = disturbed(mirrors=WALLS)
+    faults = sample_faults(instance.disturbance, instance.make_plant(), 70, ["one", "two"])
+    chosen = faults.mirrors.chosen
+    assert (np.flatnonzero(chosen < 0) == [0, DISTURBED]).all()
+    assert set(chosen) == {-1, 0, 1}
 
 
 def test_a_witness_that_ends_early_is_drawn_until_then():

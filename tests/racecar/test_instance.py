@@ -19,8 +19,9 @@ from hypothesis import strategies as st
 from racecar.bicycle import Bicycle
 from racecar.closed_loop import Plant, State, simulate
 from racecar.controller import Controller, Layer, save_controller
-from racecar.disturbance import Disturbance
+from racecar.disturbance import Disturbance, Mirrors
 from racecar.errors import BadInput
+from racecar.faultmodels.spec import Segment
 from racecar.instance import (
     ControllerReference,
     InitialSet,
@@ -67,6 +68,21 @@ DISTURBANCES = st.builds(
     missing=st.integers(0, 21),
     turn_only=st.booleans(),
     choice=st.sampled_from(["run", "step"]),
+    mirrors=st.none()
+    | st.builds(
+        Mirrors,
+        # On the wall in front of the first hall, which every track here has.
+        segments=st.lists(
+            st.builds(
+                lambda s, width: Segment(hall=0, begin=(s, 0.0), end=(s + width, 0.0)),
+                st.floats(0, 0.5),
+                st.floats(1e-6, 0.5),
+            ),
+            min_size=1,
+            max_size=3,
+        ).map(tuple),
+        incidence=st.floats(0, 1.5),
+    ),
 )
 PLACES = st.tuples(st.floats(0.01, 0.9), st.floats(0.01, 0.9)).map(sorted).map(tuple)
 
@@ -152,6 +168,14 @@ def drop(*path: Any) -> Callable[[dict[str, Any]], None]:
     return change
 
 
+def mirrors(hall: int, *ends: list[float]) -> Callable[[dict[str, Any]], None]:
+    """Return a change: a stretch of wall that mirrors after one that is good."""
+    good = {"hall": 0, "begin": [0.0, 0.0], "end": [0.0, 1.0]}
+    bad = dict(zip(("begin", "end"), ends, strict=True), hall=hall)
+    return put("disturbance", "mirrors", {"segments": [good, bad], "incidence": 0.7})
+
+
+SECOND = "disturbance.mirrors.segments.1: "
 CLOSE = "the last hall does not lead back to the first"
 FRAMES = "plant.frames: they do not follow from plant.halls"
 
@@ -212,6 +236,16 @@ BAD_INSTANCES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
         drop("disturbance", "choice"),
         "disturbance.choice: Field required",
     ),
+    "no mirrors": (put("disturbance", "mirrors", {"segments": [], "incidence": 0.7}), "segments: "),
+    "a mirror in no hall": (mirrors(4, [0, 0], [0, 1]), SECOND + "it is in hall 4; the track"),
+    "a mirror in the air": (mirrors(0, [0.5, 1], [0.5, 2]), SECOND + "from (0.5, 1.0) to"),
+    "a mirror in the wall": (mirrors(0, [-0.1, 1], [-0.1, 2]), "not lie on one straight wall"),
+    "a mirror across the hall": (mirrors(0, [0, 2], [1.5, 2]), "not lie on one straight wall"),
+    "a mirror beyond the corner": (mirrors(0, [0, -0.1], [0, 1]), "not lie on one straight wall"),
+    "a mirror over an opening": (mirrors(0, [1.5, 1.4], [1.5, 3]), "not lie on one straight wall"),
+    "a mirror round the corner": (mirrors(0, [0, 1], [1, 0]), "not lie on one straight wall"),
+    "a mirror near the wall": (mirrors(0, [3e-9, 1], [0, 2]), "not lie on one straight wall"),
+    "a mirror without a length": (mirrors(0, [0, 1], [0, 1]), "the same point"),
     "an unknown disturbance": (put("disturbance", "bias", 0.1), "disturbance.bias: "),
     "empty polygon": (put("property", "unsafe", 0, 0, []), "property.unsafe.0.0: "),
 }

@@ -20,15 +20,17 @@ START = {"s": 0.7, "f": 9.9, "v": 0.0, "theta": 0.0}
     start=st.tuples(NUMBERS, NUMBERS, NUMBERS, NUMBERS),
     missing=st.none() | RAYS | st.lists(RAYS, min_size=1, max_size=4),
     noise=st.none() | st.lists(st.lists(NUMBERS, max_size=4), max_size=4),
+    mirror=st.none() | st.integers(-3, 99),
 )
-def test_reading_gives_back_what_was_written(start, missing, noise):
+def test_reading_gives_back_what_was_written(start, missing, noise, mirror):
     s, f, v, theta = start
-    witness = Witness(s=s, f=f, v=v, theta=theta, missing=missing, noise=noise)
+    witness = Witness(s=s, f=f, v=v, theta=theta, missing=missing, noise=noise, mirror=mirror)
     text = format_witness(witness)
     assert parse_witness(text) == witness
     assert text.count("\n") == 1
     data = json.loads(text)
     assert ("missing" in data, "noise" in data) == (missing is not None, noise is not None)
+    assert ("mirror" in data) == (mirror is not None)
 
 
 @pytest.mark.parametrize(
@@ -63,6 +65,9 @@ def test_missing_rays_are_lists_for_the_run_or_for_each_step(missing, lists, per
         (json.dumps(START | {"noise": [["0.1"]]}), "noise.0.0: "),
         (json.dumps(START | {"noise": [[float("nan")]]}), "noise.0.0: "),
         (json.dumps(START | {"noise": [[None]]}), "noise.0.0: "),
+        (json.dumps(START | {"mirror": 1.0}), "mirror: "),
+        (json.dumps(START | {"mirror": [1]}), "mirror: "),
+        (json.dumps(START | {"mirror": True}), "mirror: "),
         ('{"s": 0.7, "f": 9, "v": 0, "theta": 0, "s": 0.3}', 'the key "s" is given twice'),
         ('{"s": 0.7, "f": 9, "v": 0, "theta": 0, "\\u0073": 0.3}', 'the key "s" is given twice'),
         ("[" * 100_000, "recursion"),

@@ -176,6 +176,22 @@ def test_what_a_format_cannot_say_is_one_line_and_status_2(saved, tmp_path):
     assert len(result.stderr.splitlines()) == 1
 
 
+@pytest.mark.parametrize("form", FORMATS)
+def test_walls_that_mirror_are_said_in_no_hybrid_format(saved, tmp_path, form):
+    data = json.loads(saved.read_text())
+    wall = {"hall": 0, "begin": [0.0, 1.0], "end": [0.0, 2.0]}
+    data["disturbance"] = {
+        "noise": 0.01, "missing": 0, "turn_only": False, "choice": "run",
+        "mirrors": {"segments": [wall], "incidence": 0.7},
+    }  # fmt: skip
+    saved.write_text(json.dumps(data))
+    result = run(saved, "--format", form, "-o", tmp_path / "out")
+    assert result.exit_code == 2
+    assert not (tmp_path / "out").exists()
+    assert result.stderr.startswith("error: small.test: the hybrid automaton does not know walls")
+    assert len(result.stderr.splitlines()) == 1
+
+
 def test_help_imports_nothing_heavy():
     script = (
         "import sys; from generator.export_command import export\n"
