@@ -43,6 +43,8 @@ class Checker:
         require(few or cert.symbols >= KNOWN + 3, f"{cert.symbols} symbols do not fit the instance")
         self.sensors.apart = not few
         require(self.margin > 0, "the claimed margin is not positive")
+        unknown = sorted(self.sensors.unknown)
+        require(not unknown, f"nothing can be proved of a disturbance by {', '.join(unknown)}")
 
     def _check_instance(self) -> None:
         for frame in self.frames:

@@ -254,6 +254,24 @@ def test_another_instance_is_noticed(turn: Proof, tmp_path):
     assert "another instance" in other.fault(turn.certificate, [])
 
 
+def test_nothing_is_proved_of_a_disturbance_that_is_not_known(turn: Proof, tmp_path):
+    """The certificate is in order but for the walls that mirror, which the instance has."""
+    data = json.loads(turn.instance.read_text())
+    wall = {"hall": 0, "begin": [0.0, 0.0], "end": [0.0, 1.0]}
+    quiet = {"noise": 0.0, "missing": 0, "turn_only": True, "choice": "run"}
+    for fault, reason in (
+        (quiet, ""),
+        (quiet | {"mirrors": None}, ""),
+        (quiet | {"mirrors": {"segments": [wall], "incidence": 0.8}}, "mirrors"),
+        (quiet | {"rain": 0}, "rain"),
+    ):
+        path = tmp_path / "i.json"
+        path.write_text(json.dumps(data | {"disturbance": fault}))
+        own = replace(turn.certificate, instance_sha256=read_instance(path).sha256)
+        found = Proof(path, own, tmp_path).fault(own, [])
+        assert found == reason if not reason else reason in found
+
+
 def test_another_network_file_is_noticed(turn: Proof, tmp_path):
     data = json.loads(turn.instance.read_text())
     (tmp_path / "n.onnx").write_bytes(b"x")
