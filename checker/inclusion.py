@@ -7,10 +7,13 @@ from itertools import product
 from flint import arb, arb_mat
 
 from checker.files import NAMES, Row, require
-from checker.models import TERMS, UNIT, ZERO, Model, at_end, magnitude, symbols
+from checker.models import TERMS, UNIT, ZERO, Model, at_end, magnitude, restrict, symbols
 
 #: Directions of a set: name, constant part and part that goes with x, of s, f, v, theta.
 Columns = list[tuple[str, list[arb], list[arb]]]
+#: A part of the domain: one after the other, a parameter (0: x; j: symbol e_j-1) is kept to a
+#: part [low, high] of its range, which is then [-1, 1].
+Cuts = tuple[tuple[int, arb, arb], ...]
 
 
 def models_of(row: Row, apart: bool = False) -> list[Model]:
@@ -32,33 +35,47 @@ def state_of(row: Row) -> list[Model]:
     return [[*z[:-1], rest] for z, rest in zip(models_of(row), rests, strict=True)]
 
 
+def restricted(state: list[Model], cuts: Cuts) -> list[Model]:
+    """Return models on a part of the domain of x and e."""
+    for cut in cuts:
+        state = [restrict(z, *cut) for z in state]
+    return state
+
+
 def prove_part(inner: list[Model], row: Row) -> None:
     """Prove that a row contains models in the same x and e (inner may have more symbols)."""
-    _prove(_less(inner, row, TERMS, len(row.spread[0])), [], row)
+    _prove(_less(inner, models_of(row), TERMS, len(row.spread[0])), [], row)
 
 
-def prove_image(inner: list[Model], row: Row, carried: int) -> None:
-    """Prove that a row contains models in the same x, its first ``carried`` symbols the same."""
-    columns = _columns(row, carried)
-    _prove(_less(inner, row, TERMS, carried), columns, row)
+def prove_image(inner: list[Model], row: Row, carried: int, cuts: Cuts = ()) -> None:
+    """Prove that a row contains models in the same x, its first ``carried`` symbols the same.
+
+    cuts: on which part of x and of those symbols the models are.
+    """
+    outer = restricted(models_of(row), cuts)
+    _prove(_less(inner, outer, TERMS, carried), _columns(outer, carried), row)
 
 
 def prove_gathered(inner: list[Model], row: Row) -> None:
     """Prove that a row, constant but for its own x and e in first order, contains models."""
     require(not (row.centre[:, 2:].any() or row.spread[:, :, 1].any()), "it is not gathered: bent")
     x = "x", [arb(c) for c in row.centre[:, 1].tolist()], [ZERO] * 4
-    _prove(_less(inner, row, 1, 0), [x, *_columns(row, 0)], row)
+    outer = models_of(row)
+    _prove(_less(inner, outer, 1, 0), [x, *_columns(outer, 0)], row)
 
 
-def _columns(row: Row, first: int) -> Columns:
-    each = [(f"symbol {j}", row.spread[:, j].T.tolist()) for j in range(first, len(row.spread[0]))]
-    return [(name, list(map(arb, a)), list(map(arb, b))) for name, (a, b) in each]
+def _columns(outer: list[Model], first: int) -> Columns:
+    m = symbols(outer[0])
+    return [
+        (f"symbol {j}", [z[TERMS + j] for z in outer], [z[TERMS + m + j] for z in outer])
+        for j in range(first, m)
+    ]
 
 
-def _less(inner: list[Model], row: Row, orders: int, same: int) -> list[Model]:
+def _less(inner: list[Model], outer: list[Model], orders: int, same: int) -> list[Model]:
     """Return models less those of a row, of which so many orders and symbols count."""
     out = [list(z) for z in inner]
-    for d, z in zip(out, models_of(row), strict=True):
+    for d, z in zip(out, outer, strict=True):
         for k in range(orders):
             d[k] -= z[k]
         for j in range(TERMS, TERMS + same):

@@ -6,20 +6,35 @@ from flint import arb
 
 from checker.files import Certificate, GuardKind, Instance, Kind, Rejected, Row, Unreadable, require
 from checker.forest import WIDER, Assumed, Forest
-from checker.inclusion import models_of, prove_gathered, prove_image, prove_part, state_of
+from checker.inclusion import (
+    Cuts,
+    models_of,
+    prove_gathered,
+    prove_image,
+    prove_part,
+    restricted,
+    state_of,
+)
 from checker.models import (
+    BASE,
     KNOWN,
     ONE,
+    TERMS,
+    ZERO,
     Model,
     bound,
     halves,
     line,
+    magnitude,
     negative,
     plus,
     positive,
     restrict,
 )
 from checker.step import Network, Path, Sensors, View, steering
+
+#: The domain of a row whose step cannot be proved at once is halved at most so often.
+_DIVIDED = 4
 
 
 class Checker:
@@ -43,6 +58,8 @@ class Checker:
         require(few or cert.symbols >= KNOWN + 3, f"{cert.symbols} symbols do not fit the instance")
         self.sensors.apart = not few
         require(self.margin > 0, "the claimed margin is not positive")
+        unknown = sorted(self.sensors.unknown)
+        require(not unknown, f"nothing can be proved of a disturbance by {', '.join(unknown)}")
 
     def _check_instance(self) -> None:
         for frame in self.frames:
@@ -139,14 +156,36 @@ class Checker:
         """Prove clearance and image of one period."""
         row, assumed = self.rows[i], self.forest.assumptions(i)
         require(self.settled(i), "it may have to change its frame before it drives")
-        state = state_of(row)
+        todo: list[Cuts] = [()]
+        while todo:
+            cuts = todo.pop()
+            state = restricted(state_of(row), cuts)
+            try:
+                self._check_period(row, state, assumed, image, cuts)
+            except (Rejected, ArithmeticError):
+                if len(cuts) == _DIVIDED:
+                    raise
+                k = _longest(state, min(BASE, self.carried))
+                todo += [(*cuts, (k, -ONE, ZERO)), (*cuts, (k, ZERO, ONE))]
+
+    def _check_period(
+        self, row: Row, state: list[Model], assumed: Assumed, image: Row, cuts: Cuts
+    ) -> None:
+        """Prove clearance and image of a part of a row."""
         case = self.forest.missing[row.case].nonzero()[0].tolist()
         active = self.sensors.active(state, assumed.turn) if case else (False, True)
         view = self._view(row, state, assumed)
         path = Path(self.plant, state, steering(self.network, self.sensors, view, case, active))
         for polygon in self.unsafe[row.frame]:
             path.clear(polygon, self.margin)
-        prove_image(path.end, image, self.carried)
+        prove_image(path.end, image, self.carried, cuts)
+
+
+def _longest(state: list[Model], most: int) -> int:
+    """Return which of x (0) and the first ``most`` symbols (1, 2, ...) moves a state most."""
+    sizes = [magnitude([c for z in state for c in z[1:TERMS]])]
+    sizes += [magnitude([z[TERMS + j] for z in state]) for j in range(most)]
+    return max(range(len(sizes)), key=lambda k: float(sizes[k].mid()))
 
 
 def _prove_piece(state: list[Model], part: Row) -> None:

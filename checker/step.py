@@ -12,6 +12,8 @@ from checker.files import Layer, Rejected
 from checker.lidar import Rays, View
 from checker.models import ZERO, Model, add, bound, multiply, negative, plus, scale, split, subtract
 
+#: What may disturb the readings.
+_FAULTS = {"noise", "missing", "turn_only", "choice"}
 _ACTIVATIONS = {"Tanh": models.tanh, "Sigmoid": models.sigmoid, "Relu": models.relu}
 #: An arc is halved at most so often to show its clearance.
 _DEPTH = 7
@@ -48,6 +50,8 @@ class Sensors:
         self.missing = int(fault.get("missing", 0))
         self.turn_only = bool(fault.get("turn_only", False))
         self.each_step = fault.get("choice", "run") == "step" and self.missing > 0
+        #: What else the instance says may happen, which is not covered here.
+        self.unknown = {k for k, v in fault.items() if v is not None} - _FAULTS
         uncertain = sum(a < b for a, b in data["initial_set"].values())
         #: Whether the errors of readings matter so much that they are followed one by one.
         self.apart = self.noise > 0 or self.each_step or uncertain > 1

@@ -30,12 +30,18 @@ class TooManyChoices(Exception):
     """There are more choices of missing rays than can be tried."""
 
 
+class MirrorsUnknown(Exception):
+    """What a mirroring wall does is not enclosed, so nothing can be proved of it."""
+
+
 def cases(disturbance: Disturbance | None, rays: int) -> Bools:
     """Return the sets of rays that may be missing in a run, ``[cases, rays]``.
 
-    If the choice is made anew at each step, there is one case, of all rays. Raises
-    TooManyChoices.
+    If the choice is made anew at each step, there is one case, of all rays. Every proof begins
+    here. Raises TooManyChoices, MirrorsUnknown.
     """
+    if disturbance is not None and disturbance.mirrors is not None:
+        raise MirrorsUnknown
     if disturbance is None or not disturbance.missing:
         return np.zeros((1, rays), dtype=bool)
     chosen = _choices(np.arange(rays), disturbance.missing)

@@ -44,16 +44,16 @@ def prove_piece(
     recorded: bool,
     report: Callable[[float], None] = lambda share: None,
 ) -> Outcome:
-    """Prove a piece until ``deadline`` (time.monotonic); report(share proved) is called often."""
+    """Prove a piece, without noise, until ``deadline`` (time.monotonic).
+
+    report(share proved) is called often.
+    """
+    check = _until(deadline)
     record = Record(box.lead) if recorded else None
     low, high = np.array([piece.low]), np.array([piece.high])
     least, leaves, shown = np.inf, 0, 0.0
     latest: Callable[[], float] = lambda: 0.0  # noqa: E731
     last = time.monotonic()
-
-    def check() -> None:
-        if time.monotonic() > deadline:
-            raise OutOfTime
 
     def share() -> float:
         return shown + (1 - shown) * latest()
@@ -65,8 +65,6 @@ def prove_piece(
             report(share())
             last = time.monotonic()
 
-    if problem.noisy:
-        return prove_halved(problem, box, piece, wanted, check, recorded, report)
     ladder = [(TOLERANCE, True)]
     if not problem.wide:
         ladder = [(tolerance, False) for tolerance in TOLERANCES] + ladder
@@ -97,6 +95,26 @@ def prove_piece(
     )  # fmt: skip
 
 
+def _until(deadline: float) -> Callable[[], None]:
+    """Return a function that raises OutOfTime after ``deadline``."""
+
+    def check() -> None:
+        if time.monotonic() > deadline:
+            raise OutOfTime
+
+    return check
+
+
+def _prove(
+    problem: Problem, box: Box, piece: Piece, wanted: float, deadline: float, recorded: bool,
+    report: Callable[[float], None] = lambda share: None,
+) -> Outcome:  # fmt: skip
+    """Prove a piece in the way that suits the problem."""
+    if problem.noisy:
+        return prove_halved(problem, box, piece, wanted, _until(deadline), recorded, report)
+    return prove_piece(problem, box, piece, wanted, deadline, recorded, report)
+
+
 def prove_pieces(
     problem: Problem,
     box: Box,
@@ -111,7 +129,7 @@ def prove_pieces(
     done = 0.0
     if workers == 1:
         for piece in pieces:
-            outcome = prove_piece(
+            outcome = _prove(
                 problem, box, piece, wanted, deadline, recorded,
                 lambda share: report((done + share) / len(pieces)),  # noqa: B023
             )  # fmt: skip
@@ -122,8 +140,7 @@ def prove_pieces(
     # A fresh interpreter for each: onnxruntime's threads do not survive a fork.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         waiting: set[Future[Outcome]] = {
-            pool.submit(prove_piece, problem, box, piece, wanted, deadline, recorded)
-            for piece in pieces
+            pool.submit(_prove, problem, box, piece, wanted, deadline, recorded) for piece in pieces
         }
         while waiting:
             ended, waiting = wait(waiting, return_when=FIRST_COMPLETED)

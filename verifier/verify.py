@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from racecar.closed_loop import State, Steer, simulate
-from verifier.disturbed import TooManyChoices, cases
+from verifier.disturbed import MirrorsUnknown, TooManyChoices, cases
 from verifier.falsify import Worst, confirmed, worst_start
 from verifier.forever import Forever, prove_forever
 from verifier.models import Array
@@ -75,6 +75,8 @@ def verify_recorded(
             worst = _search_open(searched, steer, box, outcomes, worst, deadline)
         except TooManyChoices:
             note = "there are more choices of missing rays than can be tried"
+        except MirrorsUnknown:
+            note = "safety with walls that mirror cannot be proved yet"
         if not all(o.in_time for o in outcomes):
             note = "the time limit was reached"
     unsafe = worst.margin <= 0 and confirmed(problem, steer, worst)

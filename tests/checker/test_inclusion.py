@@ -9,7 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from checker.files import Kind, Rejected, Row
-from checker.inclusion import models_of, prove_gathered, prove_image, prove_part, state_of
+from checker.inclusion import (
+    models_of,
+    prove_gathered,
+    prove_image,
+    prove_part,
+    restricted,
+    state_of,
+)
 from checker.models import TERMS, UNIT, Model
 
 SEEDS = st.integers(0, 2**32)
@@ -100,6 +107,36 @@ def test_a_carried_symbol_stays_itself(seed, symbol, component):
     more[component, symbol, 0] += 3 * row.radius[component]
     with pytest.raises(Rejected):
         prove_image(models_of(row._replace(spread=more)), row, 3)
+
+
+@given(SEEDS, st.integers(0, 3), st.floats(-1, 0.4), st.sampled_from([3, 12]))
+def test_a_part_of_the_domain_is_held_against_the_same_part_of_the_image(
+    seed, parameter, low, count
+):
+    """Of x or of a symbol; with 12 symbols some are products, and three are free."""
+    random = np.random.default_rng(seed)
+    row = skew(random)
+    if count > 3:
+        products = 1e-10 * random.normal(size=(4, 6, 2))
+        spread = np.concatenate([row.spread, products, 1e-3 * row.spread], axis=1)
+        row = made(row.centre, spread, row.radius)
+    cuts = ((parameter, arb(low), arb(low + 0.5)),)
+    full = row.spread.copy()
+    full[:, 9:] *= 1 - 1e-9
+    inner = restricted(models_of(row._replace(spread=full)), cuts)
+    carried = 3 if count == 3 else 9
+    prove_image(inner, row, carried, cuts)
+    other = ((parameter, arb(low + 0.1), arb(low + 0.5)),)
+    with pytest.raises(Rejected):
+        prove_image(inner, row, carried, other)
+
+
+@given(SEEDS, st.floats(-1, 0.9))
+def test_what_fills_a_part_of_a_row_is_inside(seed, low):
+    random = np.random.default_rng(seed)
+    row = skew(random)
+    cuts = ((0, arb(low), arb(low + 0.1)),)
+    prove_image(restricted(within(random, row, 1 - 1e-9), cuts), row, 0, cuts)
 
 
 @given(SEEDS, st.integers(0, 3), st.sampled_from([0.999, 1.001]))

@@ -11,7 +11,7 @@ from certified import Proof, changed, descendants, gathered, joined, taken
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from checker.files import Unreadable, read_certificate, read_instance
+from checker.files import Rejected, Unreadable, read_certificate, read_instance
 from checker.models import BASE, KNOWN
 from verifier.certificate import (
     ADVANCE,
@@ -254,6 +254,24 @@ def test_another_instance_is_noticed(turn: Proof, tmp_path):
     assert "another instance" in other.fault(turn.certificate, [])
 
 
+def test_nothing_is_proved_of_a_disturbance_that_is_not_known(turn: Proof, tmp_path):
+    """The certificate is in order but for the walls that mirror, which the instance has."""
+    data = json.loads(turn.instance.read_text())
+    wall = {"hall": 0, "begin": [0.0, 0.0], "end": [0.0, 1.0]}
+    quiet = {"noise": 0.0, "missing": 0, "turn_only": True, "choice": "run"}
+    for fault, reason in (
+        (quiet, ""),
+        (quiet | {"mirrors": None}, ""),
+        (quiet | {"mirrors": {"segments": [wall], "incidence": 0.8}}, "mirrors"),
+        (quiet | {"rain": 0}, "rain"),
+    ):
+        path = tmp_path / "i.json"
+        path.write_text(json.dumps(data | {"disturbance": fault}))
+        own = replace(turn.certificate, instance_sha256=read_instance(path).sha256)
+        found = Proof(path, own, tmp_path).fault(own, [])
+        assert found == reason if not reason else reason in found
+
+
 def test_another_network_file_is_noticed(turn: Proof, tmp_path):
     data = json.loads(turn.instance.read_text())
     (tmp_path / "n.onnx").write_bytes(b"x")
@@ -430,6 +448,44 @@ def test_a_product_is_not_divided(noisy: Proof):
     piece[:] = [-1.0, 1.0]
     piece[1 + BASE] = [-1.0, 0.0]
     assert noisy.fault(changed(cert, row, piece=piece), around(cert, row))
+
+
+def inside(point: np.ndarray, cuts) -> bool:
+    """Tell whether a point (x, e_0, e_1, e_2) is in a part of the domain."""
+    point = point.copy()
+    for parameter, low, high in cuts:
+        middle, half = float(low + high) / 2, float(high - low) / 2
+        point[parameter] = (point[parameter] - middle) / half
+    return bool((np.abs(point) <= 1).all())
+
+
+@settings(SOME, max_examples=5)
+@given(number=ROWS, seed=ROWS)
+def test_the_parts_into_which_a_step_is_divided_are_the_whole(noisy: Proof, number, seed):
+    """Every place of the row's domain is in a part that was proved, or the row is rejected."""
+    random = np.random.default_rng(seed)
+    checker = noisy.checker(noisy.certificate)
+    image = pick(noisy.certificate, noisy.certificate.kind == IMAGE, number)
+    row = int(noisy.certificate.parent[image])
+    shown = []
+
+    def period(row, state, assumed, image, cuts):
+        if len(cuts) < 4 and random.random() < 0.6:
+            raise Rejected("too wide")
+        shown.append(cuts)
+
+    checker._check_period = period
+    checker.check_row(row)
+    for point in random.uniform(-1, 1, (200, 4)):
+        assert sum(inside(point, cuts) for cuts in shown) >= 1
+
+    def never(row, state, assumed, image, cuts):
+        if inside(np.array([0.3, 0.3, 0.3, 0.3]), cuts):
+            raise Rejected("not at all")
+
+    checker._check_period = never
+    with pytest.raises(Rejected, match="not at all"):
+        checker.check_row(row)
 
 
 def test_symbols_have_to_fit_the_instance(noisy: Proof):

@@ -12,7 +12,8 @@ from enclosed import TRACKS, rows_of, zero_controller
 from exact_members import random_models
 from instances import everywhere, question
 
-from racecar.disturbance import Disturbance
+from racecar.disturbance import Disturbance, Mirrors
+from racecar.faultmodels.spec import Segment
 from verifier import pieces as under_test
 from verifier import proof, verify
 from verifier.certificate import ADVANCE, GATHERED, IMAGE, PART, ROOT
@@ -290,6 +291,21 @@ def test_too_many_choices_of_rays_are_said_so(monkeypatch):
         assert result.verdict in {"unknown", "sat"}
         if result.verdict == "unknown":
             assert "more choices" in result.note
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.001])
+def test_nothing_is_proved_of_walls_that_mirror(noise):
+    """The car cannot become unsafe, whatever it reads; but that is not to be said yet."""
+    wall = Segment(hall=0, begin=(0.0, 0.0), end=(0.0, 1.0))
+    mirrors = Mirrors(segments=(wall,), incidence=0.8)
+    given = Disturbance(noise=noise, missing=0, turn_only=False, choice="run", mirrors=mirrors)
+    for steps in (2, verify.LONG + 1):
+        problem = straight([[1.0, 0.0, 0.6]], disturbance=given, steps=steps)
+        result = verify.verify(problem, problem.controller.steering_rows, 5.0)
+        assert result.verdict in {"unknown", "sat"}
+        if result.verdict == "unknown":
+            assert "mirror" in result.note
+            assert result.margin_lower is None
 
 
 def test_what_came_to_nothing_is_given_up_where_it_began():
