@@ -6,9 +6,11 @@ certificate; these two tools do the same with one, and let the checker answer ``
 
 from __future__ import annotations
 
+import ctypes
 import json
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -22,6 +24,8 @@ from harness.store import RunFolder
 from racecar.controller import write_whole
 from racecar.errors import BadInput
 
+#: Of prctl(2): the signal that a process gets when its parent ends.
+_PR_SET_PDEATHSIG = 1
 _HEAD = """#!/usr/bin/env bash
 # {script} v1 ...: written by `generator reference`.
 set -eu
@@ -109,7 +113,12 @@ class Work:
         # It shows a bar where a person watches.
         command += ["--json"] if self.quiet else []
         command += [f"--instance={entry.spec}" for entry in entries]
-        done = subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
+        done = subprocess.run(
+            command,
+            stdout=subprocess.DEVNULL,
+            check=False,
+            preexec_fn=_end_with_parent,
+        )
         if done.returncode == 130:
             raise KeyboardInterrupt
         # 1: the harness's score finds the present reference.csv refuted; it is made anew here.
@@ -140,6 +149,12 @@ class Work:
 
 def _limit(timeout: float | None) -> str:
     return "own" if timeout is None else f"{timeout:g}s"
+
+
+def _end_with_parent() -> None:
+    """Let the harness be told to end when this program does, however that comes (Linux)."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _printed(log: bytes) -> dict[str, Any]:

@@ -3,6 +3,9 @@
 import csv
 import json
 import shutil
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -75,6 +78,20 @@ def test_a_claim_against_the_results_is_incorrect(made):
     claims = [Claim("liar", "quick", id, Verdict.UNSAT, 1.0, 60.0) for id in (PROVED, REFUTED)]
     points = {j.claim.instance: j.points for j in score(claims, references).judgements}
     assert points == {PROVED: 10, REFUTED: INCORRECT}
+
+
+def test_killed_in_the_middle_it_goes_on(copied, tmp_path):
+    root, _ = copied
+    work = tmp_path / "new"
+    command = [sys.executable, "-m", "generator", "reference", f"--root={root}", f"--work={work}"]
+    with subprocess.Popen([*command, "--instance", PROVED], stderr=subprocess.DEVNULL) as process:
+        # Its run of the harness has begun.
+        while process.poll() is None and not (work / "prove-own" / "run.sqlite").exists():
+            time.sleep(0.01)
+        process.kill()
+    done = run(root, work, "--instance", PROVED, "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["unsat"] == 1
 
 
 def test_made_again_it_runs_nothing_and_writes_the_same(made):
