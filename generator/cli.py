@@ -21,6 +21,7 @@ from generator.instance_command import instance
 from generator.instances import benchmark_plant
 from generator.progress import progress_bar
 from generator.record import SeedRecord
+from generator.reference.command import reference
 from generator.scenarios import make_scenarios
 from generator.seeds import Train, Trained, find_controller, publish
 from generator.setups import parse_setup
@@ -194,6 +195,7 @@ def scenarios(
 main.add_command(instance)
 main.add_command(export)
 main.add_command(card)
+main.add_command(reference)
 
 
 @main.command()

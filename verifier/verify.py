@@ -57,10 +57,7 @@ def verify_recorded(
     outcomes: list[Outcome] = []
     pieces: list[Piece] = []
     note = ""
-    found = worst.margin <= 0 and confirmed(problem, steer, worst)
-    if not found and problem.disturbance is not None and problem.disturbance.mirrors is not None:
-        note = MIRRORS
-    elif not found:
+    if not (worst.margin <= 0 and confirmed(problem, steer, worst)):
         try:
             if problem.steps > LONG:
                 circle = prove_forever(problem, box, worst.margin, deadline, report)
@@ -76,7 +73,7 @@ def verify_recorded(
         except TooManyChoices:
             note = "there are more choices of missing rays than can be tried"
         except MirrorsUnknown:
-            note = "safety with walls that mirror cannot be proved yet"
+            note = MIRRORS
         if not all(o.in_time for o in outcomes):
             note = "the time limit was reached"
     unsafe = worst.margin <= 0 and confirmed(problem, steer, worst)
