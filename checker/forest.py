@@ -54,8 +54,6 @@ class Forest:
         self.box = [tuple(map(arb, data["initial_set"][name])) for name in NAMES]
         self.lead = cert.lead
         self._fault = data.get("disturbance") or {}
-        # What a mirror does to a scan is in no row.
-        require(not self._fault.get("mirrors"), "a wall of the instance may mirror")
         self._rays = int(data["plant"]["lidar"]["rays"])
         self.children: list[list[int]] = [[] for _ in cert.rows]
         self.sources: list[list[int]] = [[] for _ in cert.rows]

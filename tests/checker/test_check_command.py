@@ -70,7 +70,7 @@ def test_a_proof_says_nothing_of_walls_that_mirror(turn: Proof, tmp_path):
     write_certificate(signed, tmp_path / "c.h5")
     status, said = run(tmp_path / "c.h5", mirrored)
     assert status == 1
-    assert said.startswith("rejected: a wall of the instance may mirror")
+    assert said.startswith("rejected: nothing can be proved of a disturbance by mirrors")
 
 
 def test_inputs_that_cannot_be_read(turn: Proof, certificate, tmp_path):
