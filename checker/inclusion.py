@@ -50,9 +50,10 @@ def prove_part(inner: list[Model], row: Row) -> None:
 def prove_image(inner: list[Model], row: Row, carried: int, cuts: Cuts = ()) -> None:
     """Prove that a row contains models in the same x, its first ``carried`` symbols the same.
 
-    cuts: on which part of x and of those symbols the models are.
+    cuts: on which part of their x and symbols the models are; of these the row has only x and
+    those that are the same.
     """
-    outer = restricted(models_of(row), cuts)
+    outer = restricted(models_of(row), tuple(cut for cut in cuts if cut[0] <= carried))
     _prove(_less(inner, outer, TERMS, carried), _columns(outer, carried), row)
 
 

@@ -30,6 +30,7 @@ from checker.models import (
     plus,
     positive,
     restrict,
+    symbols,
 )
 from checker.step import Network, Path, Sensors, View, steering
 
@@ -165,7 +166,7 @@ class Checker:
             except (Rejected, ArithmeticError):
                 if len(cuts) == _DIVIDED:
                     raise
-                k = _longest(state, min(BASE, self.carried))
+                k = _longest(state)
                 todo += [(*cuts, (k, -ONE, ZERO)), (*cuts, (k, ZERO, ONE))]
 
     def _check_period(
@@ -181,10 +182,11 @@ class Checker:
         prove_image(path.end, image, self.carried, cuts)
 
 
-def _longest(state: list[Model], most: int) -> int:
-    """Return which of x (0) and the first ``most`` symbols (1, 2, ...) moves a state most."""
+def _longest(state: list[Model]) -> int:
+    """Return which of x (0) and the first symbols (1, 2, ...) moves a state most."""
     sizes = [magnitude([c for z in state for c in z[1:TERMS]])]
-    sizes += [magnitude([z[TERMS + j] for z in state]) for j in range(most)]
+    first = range(min(BASE, symbols(state[0])))
+    sizes += [magnitude([z[TERMS + j] for z in state]) for j in first]
     return max(range(len(sizes)), key=lambda k: float(sizes[k].mid()))
 
 

@@ -139,6 +139,19 @@ def test_what_fills_a_part_of_a_row_is_inside(seed, low):
     prove_image(restricted(within(random, row, 1 - 1e-9), cuts), row, 0, cuts)
 
 
+@given(SEEDS, st.integers(1, 3))
+def test_a_symbol_that_is_not_carried_is_divided_in_the_row_alone(seed, parameter):
+    row = skew(np.random.default_rng(seed))
+    twice = row.spread * (1 - 1e-9)
+    twice[:, parameter - 1] *= 2
+    inner = models_of(row._replace(spread=twice))
+    half = ((parameter, arb(-0.5 * (1 - 1e-9)), arb(0.5 * (1 - 1e-9))),)
+    prove_image(restricted(inner, half), row, 0, half)
+    more = ((parameter, arb(-0.5), arb(0.51)),)
+    with pytest.raises(Rejected):
+        prove_image(restricted(inner, more), row, 0, more)
+
+
 @given(SEEDS, st.integers(0, 3), st.sampled_from([0.999, 1.001]))
 def test_a_part_needs_room_for_every_difference(seed, component, share):
     row = skew(np.random.default_rng(seed))
