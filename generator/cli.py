@@ -13,7 +13,7 @@ from rich.table import Table
 from generator.categories import CATEGORIES
 from generator.emit import build, category_folders, load_controllers
 from generator.export_command import export
-from generator.hyperparams import Hyperparameters, load_hyperparameters
+from generator.hyperparams import Hyperparameters
 from generator.hyperparams.robust import STUDENTS
 from generator.instance_command import instance
 from generator.instances import benchmark_plant
@@ -21,7 +21,7 @@ from generator.progress import progress_bar
 from generator.record import SeedRecord
 from generator.scenarios import make_scenarios
 from generator.seeds import Train, Trained, find_controller, publish
-from generator.setups import parse_setup
+from generator.setups import parse_setup, setup_hyperparameters
 from generator.tree import Differences, check_tree, write_tree
 from generator.yaml_network import import_yaml
 from racecar.command_line import CHECK_FAILED, DONE, Commands, print_json
@@ -78,7 +78,7 @@ def train(
     says which.
     """
     setup = parse_setup(name)
-    parameters = load_hyperparameters(setup.algorithm, own)
+    parameters = setup_hyperparameters(setup, own)
     if timesteps is not None:
         if not isinstance(parameters, Hyperparameters):
             raise click.UsageError(

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -19,15 +18,14 @@ import torch
 from stable_baselines3 import DDPG, TD3
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.td3.policies import TD3Policy
 from torch import nn
 
 import racecar.env
-from generator.actor import SCAN_CENTRE, SCAN_SCALE, fold
+from generator.actor import fold
 from generator.checkpoint import restore_checkpoint, save_checkpoint
 from generator.hyperparams import ENVIRONMENT, Hyperparameters
 from generator.nominal import drive_nominal
+from generator.policy import NormalisedScan, RacecarPolicy
 from generator.seeds import CHECKPOINT, Trained, training_settings
 from generator.setups import Setup
 from racecar.controller import Controller
@@ -37,30 +35,6 @@ _ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
 LIBRARIES = ("stable-baselines3", "torch", "gymnasium", "numpy")
 #: How far (rad) the exported network may stray from the torch actor: float32 rounding.
 EXPORT_TOLERANCE = 1e-5
-
-
-class NormalisedScan(BaseFeaturesExtractor):
-    """Scans as the networks read them: (distance - 2.5 m) / 5 m."""
-
-    def __init__(self, observation_space: gymnasium.spaces.Box) -> None:
-        super().__init__(observation_space, features_dim=observation_space.shape[0])
-
-    def forward(self, scan: torch.Tensor) -> torch.Tensor:
-        """Normalise ``[batch, rays]``."""
-        return (scan - SCAN_CENTRE) / SCAN_SCALE
-
-
-class RacecarPolicy(TD3Policy):
-    """TD3's policy with an activation of its own for the critics."""
-
-    def __init__(self, *args: Any, critic_activation: type[nn.Module], **kwargs: Any) -> None:
-        self._critic_activation = critic_activation
-        super().__init__(*args, **kwargs)
-
-    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> Any:
-        """Make a critic."""
-        self.critic_kwargs["activation_fn"] = self._critic_activation
-        return super().make_critic(features_extractor)
 
 
 class _Progress(BaseCallback):
@@ -159,6 +133,7 @@ def _make_model(setup: Setup, parameters: Hyperparameters, seed: int) -> TD3:
             "activation_fn": _ACTIVATIONS[kinds.activation],
             "critic_activation": _ACTIVATIONS[kinds.critic_activation],
             "features_extractor_class": NormalisedScan,
+            "critic_rays": kinds.critic_rays,
             "optimizer_kwargs": {"weight_decay": kinds.weight_decay or 0.0},
         },
         seed=seed,

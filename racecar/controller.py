@@ -129,7 +129,7 @@ def save_controller(controller: Controller, path: Path) -> None:
     write_whole(path, to_model(controller).SerializeToString(deterministic=True))
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes | memoryview) -> None:
     """Write a file so that it is seen complete or not at all, even after a crash.
 
     Writers of the same path at the same time do not disturb each other: one of them wins.
