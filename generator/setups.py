@@ -104,6 +104,14 @@ def setup_hyperparameters(setup: Setup, own: Path | None = None) -> AnyHyperpara
             f"{own}: policy_kwargs.activation is {networks.activation}, but the name "
             f"{setup.name} says {setup.activation}; make them agree"
         )
+    sizes = {"convolutions": networks.convolutions, "hidden": networks.hidden}
+    for name, value in sizes.items():
+        if setup.convolutional != (value is not None):
+            advice = "give it" if setup.convolutional else "leave it out"
+            raise BadInput(
+                f"{own}: policy_kwargs.{name} is for convolutional setups; "
+                f"{advice} for {setup.name}"
+            )
     return parameters
 
 

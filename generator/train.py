@@ -25,10 +25,11 @@ from generator.actor import fold
 from generator.checkpoint import restore_checkpoint, save_checkpoint
 from generator.hyperparams import ENVIRONMENT, Hyperparameters
 from generator.nominal import drive_nominal
-from generator.policy import NormalisedScan, RacecarPolicy
+from generator.policy import ConvolvedScan, NormalisedScan, RacecarPolicy
 from generator.seeds import CHECKPOINT, Trained, training_settings
 from generator.setups import Setup
 from racecar.controller import Controller
+from racecar.layers import Convolution
 
 CHUNK = 5000
 _ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
@@ -129,7 +130,8 @@ def _make_model(setup: Setup, parameters: Hyperparameters, seed: int) -> TD3:
         learning_rate=first,
         action_noise=NormalActionNoise(np.zeros(1), np.full(1, parameters.action_noise_std)),
         policy_kwargs={
-            "net_arch": {"pi": list(setup.hidden), "qf": kinds.critic},
+            "net_arch": {"pi": kinds.hidden or list(setup.hidden), "qf": kinds.critic},
+            "convolutions": kinds.convolutions or (),
             "activation_fn": _ACTIVATIONS[kinds.activation],
             "critic_activation": _ACTIVATIONS[kinds.critic_activation],
             "features_extractor_class": NormalisedScan,
@@ -149,12 +151,27 @@ def export(model: TD3, metadata: dict[str, str]) -> Controller:
     """Return the controller of a model's actor."""
     linear = [m for m in model.actor.mu if isinstance(m, nn.Linear)]
     hidden = {nn.Tanh: "tanh", nn.ReLU: "relu"}[type(model.actor.mu[1])]
+    convolutions = [(x, hidden) for x in _convolutions(model)]
     kinds = [hidden] * (len(linear) - 1) + ["tanh"]
     layers = [
         (m.weight.detach().numpy(), m.bias.detach().numpy(), kind)
         for m, kind in zip(linear, kinds, strict=True)
     ]
-    return fold(layers, metadata)
+    return fold(layers, metadata, convolutions)
+
+
+def _convolutions(model: TD3) -> list[Convolution]:
+    found: list[Convolution] = []
+    scan = model.actor.features_extractor
+    if isinstance(scan, ConvolvedScan):
+        length = scan.rays
+        for m in scan.layers:
+            if isinstance(m, nn.Conv1d):
+                assert m.bias is not None
+                kernels, biases = m.weight.detach().numpy(), m.bias.detach().numpy()
+                found.append(Convolution(kernels, biases, m.stride[0], length))
+                length = found[-1].places
+    return found
 
 
 def export_error(model: TD3, controller: Controller, scans: int = 10_000) -> float:

@@ -16,6 +16,14 @@ from racecar.errors import BadInput
 ENVIRONMENT = "racecar/Hallway-v0"
 
 
+class ConvolutionArguments(Arguments):
+    """One convolution along the scan, without padding."""
+
+    channels: Positive
+    kernel: Positive = Field(description="places that a window covers")
+    stride: Positive
+
+
 class PolicyArguments(Arguments):
     """The networks of actor and critic."""
 
@@ -24,6 +32,12 @@ class PolicyArguments(Arguments):
     critic_activation: Literal["tanh", "relu"]
     critic_rays: Annotated[int, Field(ge=2)] | None = Field(
         None, description="the critics read every k-th ray, for the largest k that leaves so many"
+    )
+    convolutions: list[ConvolutionArguments] | None = Field(
+        None, min_length=1, description="of the actor, the first next to the scan"
+    )
+    hidden: list[Positive] | None = Field(
+        None, description="neurons of the actor's layers behind the convolutions"
     )
     weight_decay: Annotated[float, Field(ge=0)] | None = Field(
         None, description="of both optimisers (Adam's L2 term); smaller weights steer more smoothly"

@@ -73,8 +73,15 @@ def test_each_kind_of_network_has_its_hyperparameters(tmp_path):
         assert said(f"TD3_L{rays}_64x64_C1").policy_kwargs.critic_rays == 121
     with pytest.raises(BadInput, match=r"ddpg_relu\.yml do not exist; write a file"):
         said("DDPG_L21_64x64relu_C1")
+    convolutional = said("TD3_L1081_conv_C1").policy_kwargs
+    assert (len(convolutional.convolutions), convolutional.hidden) == (2, [64])
     own = tmp_path / "own.yml"
     own.write_text(files("generator.hyperparams").joinpath("td3.yml").read_text())
     assert said("TD3_L1081_64x64_C1", own) == load_hyperparameters("TD3")
     with pytest.raises(BadInput, match=r"activation is tanh, but the name .* says relu"):
         said("TD3_L21_64x64relu_C1", own)
+    with pytest.raises(BadInput, match="convolutional setups; give it for"):
+        said("TD3_L1081_conv_C1", own)
+    own.write_text(files("generator.hyperparams").joinpath("td3_conv.yml").read_text())
+    with pytest.raises(BadInput, match="convolutional setups; leave it out"):
+        said("TD3_L1081_64x64_C1", own)

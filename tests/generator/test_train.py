@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from generator.cli import main
+from generator.hyperparams import ConvolutionArguments
 from generator.nominal import Nominal
 from generator.seeds import CHECKPOINT, CONTROLLER, CURVE, try_seed
 from generator.setups import parse_setup, setup_hyperparameters
@@ -34,6 +35,10 @@ TINY = {
 def tiny(setup, **changes):
     parameters = setup_hyperparameters(setup)
     smaller = {"critic": [16]} | ({"critic_rays": 5} if setup.rays > 61 else {})
+    if setup.convolutional:
+        sizes = ((2, 5, 3), (3, 4, 2))
+        convolutions = [ConvolutionArguments(channels=a, kernel=b, stride=c) for a, b, c in sizes]
+        smaller |= {"convolutions": convolutions, "hidden": [8]}
     networks = parameters.policy_kwargs.model_copy(update=smaller)
     return parameters.model_copy(update={"policy_kwargs": networks} | TINY | changes)
 
@@ -65,7 +70,7 @@ def without_times(curve):
 
 
 @pytest.mark.parametrize(
-    "network", ["TD3_L5_8x8", "DDPG_L5_8x8", "TD3_L5_8x8x8x8relu", "TD3_L121_8x8"]
+    "network", ["TD3_L5_8x8", "DDPG_L5_8x8", "TD3_L121_8x8x8x8relu", "TD3_L41_conv"]
 )
 def test_an_interrupted_training_ends_in_the_same_bytes(tmp_path, network):
     whole = run_training(network, tmp_path / "whole")
@@ -102,7 +107,7 @@ def test_another_process_gives_the_same_bytes(tmp_path):
     assert (tmp_path / "there" / "c.onnx").read_bytes() == model_bytes(here)
 
 
-@pytest.mark.parametrize("name", ["TD3_L5_8x8_C1", "TD3_L121_16x8relu_C1"])
+@pytest.mark.parametrize("name", ["TD3_L5_8x8_C1", "TD3_L121_16x8relu_C1", "TD3_L41_conv_C1"])
 def test_the_file_drives_as_the_trained_actor(tmp_path, name):
     """Against onnxruntime, an evaluation that shares no code with the export."""
     import torch
