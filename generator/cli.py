@@ -20,7 +20,7 @@ from generator.instances import benchmark_plant
 from generator.progress import progress_bar
 from generator.record import SeedRecord
 from generator.scenarios import make_scenarios
-from generator.seeds import Train, Trained, find_controller, publish
+from generator.seeds import Train, Trained, find_controller, publish, published_seeds
 from generator.setups import parse_setup, setup_hyperparameters
 from generator.tree import Differences, check_tree, write_tree
 from generator.yaml_network import import_yaml
@@ -75,7 +75,7 @@ def train(
 
     Seeds 1, 2, 3, ... are trained until as many as NAME's index have given a controller that
     finishes the turn in nominal simulation. It is kept whether it is safe or not; its record
-    says which.
+    says which. What published controllers in --out tried is not trained again.
     """
     setup = parse_setup(name)
     parameters = setup_hyperparameters(setup, own)
@@ -100,7 +100,8 @@ def train(
         train_seed = _trainer(
             setup.algorithm, lambda seed, *done: report(f"{setup.family} seed {seed}", *done)
         )
-        found = find_controller(setup, parameters, work, max_seeds, train_seed, tell)
+        known = published_seeds(setup, parameters, out)
+        found = find_controller(setup, parameters, work, max_seeds, train_seed, tell, known)
     if found is None:
         click.echo(
             f"{name}: {max_seeds} seeds did not give {setup.index} controllers that finish the "
