@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from generator.categories import CATEGORIES
+from generator.controllers_command import controllers
 from generator.emit import build, category_folders, load_controllers
 from generator.export_command import export
 from generator.hyperparams import Hyperparameters
@@ -192,6 +193,7 @@ def scenarios(
 
 main.add_command(instance)
 main.add_command(export)
+main.add_command(controllers)
 
 
 @main.command()
@@ -208,9 +210,9 @@ main.add_command(export)
 def emit(check: bool, names: tuple[str, ...], root: Path, as_json: bool) -> int:
     """Emit the instance sets of the controllers in ROOT/onnx to ROOT/benchmarks."""
     categories = [c for c in CATEGORIES.values() if not names or c.name in names]
-    controllers = load_controllers(root)
+    loaded = load_controllers(root)
     with progress_bar(as_json) as report:
-        emitted = build(root, categories, controllers, partial(report, "instances"))
+        emitted = build(root, categories, loaded, partial(report, "instances"))
     if check:
         return _show_differences(check_tree(root, emitted), as_json)
     written, removed = write_tree(root, emitted)
