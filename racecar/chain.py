@@ -171,6 +171,7 @@ def _read_conv(
         given.get("group", 1) == 1
         and given.get("auto_pad", b"NOTSET") in {b"NOTSET", b"VALID"}
         and not any(given.get("pads", []))
+        and min(given.get("strides", [1])) > 0
         and set(given.get("dilations", [1])) == {1}
         and given.get("kernel_shape", [*kernels.shape[2:]]) == [*kernels.shape[2:]]
     )

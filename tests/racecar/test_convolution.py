@@ -197,6 +197,7 @@ NAN = np.float32("nan")
 BAD_FILES = {
     "padding": (attribute("pads", [0, 1, 0, 1]), "not a plain convolution"),
     "dilation": (attribute("dilations", [1, 2]), "not a plain convolution"),
+    "no stride": (attribute("strides", [1, 0]), "not a plain convolution"),
     "groups": (attribute("group", 2), "not a plain convolution"),
     "automatic padding": (attribute("auto_pad", "SAME_UPPER"), "not a plain convolution"),
     "kernel shape": (attribute("kernel_shape", [1, 4]), "not a plain convolution"),
