@@ -24,6 +24,7 @@ from onnx import numpy_helper
 NAMES = "s", "f", "v", "theta"  # components of the state
 
 _ACTIVATIONS = ("Tanh", "Sigmoid", "Relu")
+_SHAPES = ("Reshape", "Unsqueeze", "Flatten")
 
 
 class Kind(IntEnum):
@@ -183,30 +184,105 @@ def _refuse(text: str) -> float:
 
 
 def _read_layers(content: bytes, file: Path) -> list[Layer]:
-    """Read a chain of Gemm nodes, each followed by an activation or nothing."""
+    """Read a chain of Gemm and Conv nodes, each followed by an activation or nothing.
+
+    A Conv slides along the last axis, and becomes the matrix that it means.
+    """
     try:
         graph = onnx.load_from_string(content).graph
         values = {t.name: numpy_helper.to_array(t) for t in graph.initializer}
-        (x,) = (i.name for i in graph.input if i.name not in values)
-        layers: list[Layer] = []
+        (scan,) = (i for i in graph.input if i.name not in values)
+        x, layers = scan.name, list[Layer]()
+        # How the values behind the batch are laid out; their order never changes.
+        shape = tuple(d.dim_value for d in scan.type.tensor_type.shape.dim)[1:]
         for node in graph.node:
             if node.input[0] != x or node.domain not in {"", "ai.onnx"} or len(node.output) != 1:
                 raise ValueError(f"{node.name} is not part of one chain")
             (x,) = node.output
             if node.op_type == "Gemm":
                 layers.append(_read_gemm(node, values))
+                if len(shape) != 1:
+                    raise ValueError(f"{node.name} multiplies values that are not flat")
+                shape = layers[-1].biases.shape
+            elif node.op_type == "Conv":
+                layer, shape = _read_conv(node, values, shape)
+                layers.append(layer)
+            elif node.op_type in _SHAPES:
+                shape = _reshaped(node, values, shape)
             elif node.op_type in _ACTIVATIONS and layers and not layers[-1].activation:
                 layers[-1] = Layer(layers[-1].weights, layers[-1].biases, node.op_type)
             else:
                 raise ValueError(f"{node.op_type} is not understood")
         shapes = [layer.weights.shape for layer in layers]
         chained = all(a[0] == b[1] for a, b in itertools.pairwise(shapes))
-        if not chained or shapes[-1][0] != 1 or [o.name for o in graph.output] != [x]:
+        if (
+            not chained
+            or shapes[-1][0] != 1
+            or len(shape) != 1
+            or [o.name for o in graph.output] != [x]
+        ):
             raise ValueError("the layers do not fit together")
     except Exception as error:  # protobuf and NumPy raise their own types
         reason = " ".join(str(error).split())
         raise Unreadable(f"{file}: not a controller (ONNX): {reason}") from None
     return layers
+
+
+def _reshaped(
+    node: onnx.NodeProto, values: dict[str, NDArray], shape: tuple[int, ...]
+) -> tuple[int, ...]:
+    """Return the layout behind a node that changes nothing else."""
+    given = {a.name: onnx.helper.get_attribute_value(a) for a in node.attribute}
+    if node.op_type == "Flatten" and given.get("axis", 1) == 1:
+        return (math.prod(shape),)
+    if node.op_type == "Reshape" and not given.get("allowzero", 0):
+        batch, *wanted = values[node.input[1]].tolist()
+        if batch in {-1, 0} and min(wanted) > 0 and math.prod(wanted) == math.prod(shape):
+            return tuple(wanted)
+    if node.op_type == "Unsqueeze":
+        axes = values[node.input[1]].tolist()
+        # Read as places of the result: only those in the middle, which leave batch and order.
+        if len(axes) == 1 and 1 <= axes[0] <= len(shape):
+            return (*shape[: axes[0] - 1], 1, *shape[axes[0] - 1 :])
+    raise ValueError(f"{node.name} changes the shape in a way that is not understood")
+
+
+def _read_conv(
+    node: onnx.NodeProto, values: dict[str, NDArray], shape: tuple[int, ...]
+) -> tuple[Layer, tuple[int, ...]]:
+    """Return a convolution along the last axis as a layer, and the layout of its output."""
+    given = {a.name: onnx.helper.get_attribute_value(a) for a in node.attribute}
+    kernels = values[node.input[1]]
+    channels, *middle, length = shape
+    strange = (
+        given.get("group", 1) != 1
+        or given.get("auto_pad", b"NOTSET") not in {b"NOTSET", b"VALID"}
+        or any(given.get("pads", []))
+        or any(d != 1 for d in given.get("dilations", []))
+        or middle not in ([], [1])
+        or kernels.shape[1:-1] != (channels, *middle)
+        or not 0 < kernels.shape[-1] <= length
+    )
+    if strange:
+        raise ValueError(f"{node.name} is not a plain convolution along the scan")
+    out, width = len(kernels), kernels.shape[-1]
+    starts = range(0, length - width + 1, given.get("strides", [1])[-1])
+    biased = len(node.input) > 2 and node.input[2]
+    biases = values[node.input[2]] if biased else np.zeros(out, np.float32)
+    if biases.shape != (out,):
+        raise ValueError(f"{node.name} has biases of another shape")
+    # Row by row: each output reads one window of each channel.
+    weights = np.zeros((out * len(starts), channels * length), np.float32)
+    for o in range(out):
+        for p, start in enumerate(starts):
+            for c in range(channels):
+                first = c * length + start
+                row = kernels[o, c].reshape(-1)
+                weights[o * len(starts) + p, first : first + width] = row
+    if not all(x.dtype == np.float32 and np.isfinite(x).all() for x in (kernels, biases)):
+        raise ValueError(f"{node.name} has weights that are not finite floats of 32 bits")
+    layer = Layer(weights, np.repeat(biases, len(starts)), "")
+    return layer, (out, *middle, len(starts))
 
 
 def _read_gemm(node: onnx.NodeProto, values: dict[str, NDArray]) -> Layer:

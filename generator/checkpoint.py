@@ -14,6 +14,8 @@ from stable_baselines3 import TD3
 from racecar.controller import write_whole
 from racecar.errors import BadInput
 
+#: What of a replay buffer is kept: the rows that are filled.
+_ROWS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _SAVED = ("_last_obs", "_last_episode_starts", "_episode_num", "_n_updates", "num_timesteps")
 
 
@@ -25,6 +27,8 @@ def save_checkpoint(
     settings: what the training was asked to do; it must be the same when it goes on.
     """
     content = io.BytesIO()
+    buffer = model.replay_buffer
+    assert buffer is not None
     torch.save(
         {
             "settings": settings,
@@ -32,7 +36,11 @@ def save_checkpoint(
             "optimizers": [model.actor.optimizer.state_dict(), model.critic.optimizer.state_dict()],
             "fields": {name: getattr(model, name, None) for name in _SAVED},
             "episodes": list(model.ep_info_buffer or ()),
-            "buffer": model.replay_buffer,
+            # As tensors, which torch writes as they lie in memory: a full scan's are 0.5 GB.
+            "buffer": {
+                name: torch.from_numpy(getattr(buffer, name)[: buffer.size()]) for name in _ROWS
+            },
+            "buffer_place": (buffer.pos, buffer.full),
             "env": model.get_env(),
             # SB3 draws from the global generators.
             "random": (random.getstate(), np.random.get_state(), torch.get_rng_state()),  # noqa: NPY002
@@ -41,7 +49,7 @@ def save_checkpoint(
         },
         content,
     )
-    write_whole(path, content.getvalue())
+    write_whole(path, content.getbuffer())
 
 
 def restore_checkpoint(model: TD3, settings: dict[str, Any], path: Path) -> list[dict[str, float]]:
@@ -58,6 +66,12 @@ def restore_checkpoint(model: TD3, settings: dict[str, Any], path: Path) -> list
                 "libraries; choose another --work or remove it"
             )
         model.policy.load_state_dict(state["policy"])
+        buffer = model.replay_buffer
+        assert buffer is not None
+        for name in _ROWS:
+            rows = state["buffer"][name].numpy()
+            getattr(buffer, name)[: len(rows)] = rows
+        buffer.pos, buffer.full = state["buffer_place"]
     except BadInput:
         raise
     except Exception:  # unpickling raises whatever it likes
@@ -66,7 +80,6 @@ def restore_checkpoint(model: TD3, settings: dict[str, Any], path: Path) -> list
     model.critic.optimizer.load_state_dict(state["optimizers"][1])
     model.set_env(state["env"], force_reset=False)
     model.action_space = state["spaces"]
-    model.replay_buffer = state["buffer"]
     for name, value in state["fields"].items():
         setattr(model, name, value)
     model._setup_learn(0, reset_num_timesteps=False)  # makes the episode buffers

@@ -13,9 +13,10 @@ from rich.table import Table
 
 from generator.card.command import card
 from generator.categories import CATEGORIES
+from generator.controllers_command import controllers
 from generator.emit import build, category_folders, load_controllers
 from generator.export_command import export
-from generator.hyperparams import Hyperparameters, load_hyperparameters
+from generator.hyperparams import Hyperparameters
 from generator.hyperparams.robust import STUDENTS
 from generator.instance_command import instance
 from generator.instances import benchmark_plant
@@ -23,8 +24,8 @@ from generator.progress import progress_bar
 from generator.record import SeedRecord
 from generator.reference.command import reference
 from generator.scenarios import make_scenarios
-from generator.seeds import Train, Trained, find_controller, publish
-from generator.setups import parse_setup
+from generator.seeds import Train, Trained, find_controller, publish, published_seeds
+from generator.setups import parse_setup, setup_hyperparameters
 from generator.tree import Differences, check_tree, write_tree
 from generator.yaml_network import import_yaml
 from racecar.command_line import CHECK_FAILED, DONE, Commands, print_json
@@ -78,10 +79,10 @@ def train(
 
     Seeds 1, 2, 3, ... are trained until as many as NAME's index have given a controller that
     finishes the turn in nominal simulation. It is kept whether it is safe or not; its record
-    says which.
+    says which. What published controllers in --out tried is not trained again.
     """
     setup = parse_setup(name)
-    parameters = load_hyperparameters(setup.algorithm, own)
+    parameters = setup_hyperparameters(setup, own)
     if timesteps is not None:
         if not isinstance(parameters, Hyperparameters):
             raise click.UsageError(
@@ -103,7 +104,8 @@ def train(
         train_seed = _trainer(
             setup.algorithm, lambda seed, *done: report(f"{setup.family} seed {seed}", *done)
         )
-        found = find_controller(setup, parameters, work, max_seeds, train_seed, tell)
+        known = published_seeds(setup, parameters, out)
+        found = find_controller(setup, parameters, work, max_seeds, train_seed, tell, known)
     if found is None:
         click.echo(
             f"{name}: {max_seeds} seeds did not give {setup.index} controllers that finish the "
@@ -195,6 +197,7 @@ def scenarios(
 main.add_command(instance)
 main.add_command(export)
 main.add_command(card)
+main.add_command(controllers)
 main.add_command(reference)
 
 
@@ -215,14 +218,10 @@ main.add_command(reference)
 def emit(check: bool, names: tuple[str, ...], root: Path, jobs: int | None, as_json: bool) -> int:
     """Emit the instance sets of the controllers in ROOT/onnx to ROOT/benchmarks."""
     categories = [c for c in CATEGORIES.values() if not names or c.name in names]
-    controllers = load_controllers(root)
+    loaded = load_controllers(root)
     with progress_bar(as_json) as report:
         emitted = build(
-            root,
-            categories,
-            controllers,
-            partial(report, "controllers by category"),
-            jobs or _cores(),
+            root, categories, loaded, partial(report, "controllers by category"), jobs or _cores()
         )
     if check:
         return _show_differences(check_tree(root, emitted), as_json)

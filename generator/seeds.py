@@ -1,7 +1,8 @@
 """The seeds of a setup, one after the other: what each gave, kept in a folder of its own.
 
 Controller i of a setup is the i-th seed, counting 1, 2, 3, ..., whose controller finishes the
-turn, safe or not. What a seed gave is kept, so that C2 need not train again what C1 tried.
+turn, safe or not. What a seed gave is kept, so that C2 need not train again what C1 tried: in
+its folder, and in the records of the controllers that were published.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ import fcntl
 import hashlib
 import io
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -70,16 +72,24 @@ def find_controller(
     max_seeds: int,
     train: Train,
     tell: Callable[[SeedRecord], None] = lambda record: None,
+    known: Mapping[int, Tried] | None = None,
 ) -> tuple[ControllerRecord, Path] | None:
     """Try seeds until the setup's controller is found.
 
-    work: holds FAMILY/seed_N for each seed; tell: called after each seed. Returns the record
-    and the folder of the seed, or None if ``max_seeds`` seeds did not give enough controllers
-    that finish the turn. Raises BadInput if a folder is in use or holds another training.
+    work: holds FAMILY/seed_N for each seed; tell: called after each seed that has a folder
+    there; known: what seeds gave elsewhere (published_seeds). One without a folder is not
+    trained again, unless it is the controller. Returns the record and the folder of the seed,
+    or None if ``max_seeds`` seeds did not give enough controllers that finish the turn. Raises
+    BadInput if a folder is in use or holds another training.
     """
     tried: list[Tried] = []
     for seed in range(1, max_seeds + 1):
         folder = work / setup.family / f"seed_{seed}"
+        before = sum(x.finishes_turn for x in tried)
+        elsewhere = None if folder.exists() else (known or {}).get(seed)
+        if elsewhere and before + elsewhere.finishes_turn < setup.index:
+            tried.append(elsewhere)
+            continue
         record = try_seed(setup, seed, parameters, folder, train)
         tell(record)
         tried.append(
@@ -89,10 +99,32 @@ def find_controller(
                 safe_fraction=record.nominal.safe_fraction,
             )
         )
-        if sum(x.finishes_turn for x in tried) == setup.index:
+        if before + record.nominal.finishes_turn == setup.index:
             fields = record.model_dump() | {"name": setup.name, "tried": tried}
             return ControllerRecord(label=record.nominal.label, **fields), folder
     return None
+
+
+def published_seeds(setup: Setup, parameters: AnyHyperparameters, out: Path) -> dict[int, Tried]:
+    """Return what the seeds gave that published controllers of a setup tried, by seed.
+
+    Only controllers in ``out`` that were trained with these hyper-parameters and the installed
+    libraries count. Raises BadInput if a record there is broken.
+    """
+    found: dict[int, Tried] = {}
+    for path in sorted(out.glob(f"{setup.family}_C*.json")):
+        record = load_record(path, ControllerRecord)
+        installed = all(_version(name) == x for name, x in record.libraries.items())
+        if record.setup == setup.family and record.hyperparameters == parameters and installed:
+            found |= {x.seed: x for x in record.tried}
+    return found
+
+
+def _version(library: str) -> str | None:
+    try:
+        return version(library)
+    except PackageNotFoundError:
+        return None
 
 
 def try_seed(

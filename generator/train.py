@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -19,48 +18,24 @@ import torch
 from stable_baselines3 import DDPG, TD3
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.td3.policies import TD3Policy
 from torch import nn
 
 import racecar.env
-from generator.actor import SCAN_CENTRE, SCAN_SCALE, fold
+from generator.actor import fold
 from generator.checkpoint import restore_checkpoint, save_checkpoint
 from generator.hyperparams import ENVIRONMENT, Hyperparameters
 from generator.nominal import drive_nominal
+from generator.policy import ConvolvedScan, NormalisedScan, RacecarPolicy
 from generator.seeds import CHECKPOINT, Trained, training_settings
 from generator.setups import Setup
 from racecar.controller import Controller
+from racecar.layers import Convolution
 
 CHUNK = 5000
 _ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
 LIBRARIES = ("stable-baselines3", "torch", "gymnasium", "numpy")
 #: How far (rad) the exported network may stray from the torch actor: float32 rounding.
 EXPORT_TOLERANCE = 1e-5
-
-
-class NormalisedScan(BaseFeaturesExtractor):
-    """Scans as the networks read them: (distance - 2.5 m) / 5 m."""
-
-    def __init__(self, observation_space: gymnasium.spaces.Box) -> None:
-        super().__init__(observation_space, features_dim=observation_space.shape[0])
-
-    def forward(self, scan: torch.Tensor) -> torch.Tensor:
-        """Normalise ``[batch, rays]``."""
-        return (scan - SCAN_CENTRE) / SCAN_SCALE
-
-
-class RacecarPolicy(TD3Policy):
-    """TD3's policy with an activation of its own for the critics."""
-
-    def __init__(self, *args: Any, critic_activation: type[nn.Module], **kwargs: Any) -> None:
-        self._critic_activation = critic_activation
-        super().__init__(*args, **kwargs)
-
-    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> Any:
-        """Make a critic."""
-        self.critic_kwargs["activation_fn"] = self._critic_activation
-        return super().make_critic(features_extractor)
 
 
 class _Progress(BaseCallback):
@@ -159,10 +134,12 @@ def _make_model(setup: Setup, parameters: Hyperparameters, seed: int) -> TD3:
         learning_rate=first,
         action_noise=NormalActionNoise(np.zeros(1), np.full(1, parameters.action_noise_std)),
         policy_kwargs={
-            "net_arch": {"pi": list(setup.hidden), "qf": kinds.critic},
+            "net_arch": {"pi": kinds.hidden or list(setup.hidden), "qf": kinds.critic},
+            "convolutions": kinds.convolutions or (),
             "activation_fn": _ACTIVATIONS[kinds.activation],
             "critic_activation": _ACTIVATIONS[kinds.critic_activation],
             "features_extractor_class": NormalisedScan,
+            "critic_rays": kinds.critic_rays,
             "optimizer_kwargs": {"weight_decay": kinds.weight_decay or 0.0},
         },
         seed=seed,
@@ -178,12 +155,27 @@ def export(model: TD3, metadata: dict[str, str]) -> Controller:
     """Return the controller of a model's actor."""
     linear = [m for m in model.actor.mu if isinstance(m, nn.Linear)]
     hidden = {nn.Tanh: "tanh", nn.ReLU: "relu"}[type(model.actor.mu[1])]
+    convolutions = [(x, hidden) for x in _convolutions(model)]
     kinds = [hidden] * (len(linear) - 1) + ["tanh"]
     layers = [
         (m.weight.detach().numpy(), m.bias.detach().numpy(), kind)
         for m, kind in zip(linear, kinds, strict=True)
     ]
-    return fold(layers, metadata)
+    return fold(layers, metadata, convolutions)
+
+
+def _convolutions(model: TD3) -> list[Convolution]:
+    found: list[Convolution] = []
+    scan = model.actor.features_extractor
+    if isinstance(scan, ConvolvedScan):
+        length = scan.rays
+        for m in scan.layers:
+            if isinstance(m, nn.Conv1d):
+                assert m.bias is not None
+                kernels, biases = m.weight.detach().numpy(), m.bias.detach().numpy()
+                found.append(Convolution(kernels, biases, m.stride[0], length))
+                length = found[-1].places
+    return found
 
 
 def export_error(model: TD3, controller: Controller, scans: int = 10_000) -> float:

@@ -15,7 +15,9 @@ from harness.records import Record
 from racecar.controller import load_controller
 from racecar.errors import BadInput
 
-_NAME = re.compile(r"(?P<controller>[A-Za-z0-9]+_L(?P<rays>\d+)_(?P<layers>\d+(?:x\d+)*)_C\d+)\.")
+_NAME = re.compile(
+    r"(?P<controller>[A-Za-z0-9]+_L(?P<rays>\d+)_(?:conv|(?P<layers>\d+(?:x\d+)*)(?:relu)?)_C\d+)\."
+)
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
-"""Controllers: fully connected networks kept in ONNX files.
+"""Controllers: networks kept in ONNX files.
 
 A controller file takes raw LiDAR distances in metres, float32 ``[batch, rays]``, and
 returns the steering angle in radians, float32 ``[batch, 1]``. Normalisation and scaling are
-part of its layers. The graph is a chain of Gemm nodes, each followed by an activation or
-nothing, so that every verifier can read it.
+part of its layers. The graph is a chain of Gemm nodes, or of Conv nodes and then Gemm nodes,
+each followed by an activation or nothing, so that every verifier can read it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
+from racecar.chain import read_chain, write_chain
 from racecar.errors import BadInput
+from racecar.layers import Layer
 from racecar.polygon import Array
 
 if TYPE_CHECKING:
@@ -29,22 +31,6 @@ if TYPE_CHECKING:
 
 INPUT, OUTPUT = "scan", "steering"
 OPSET, IR_VERSION = 13, 8
-
-_ACTIVATIONS = {"Tanh": "tanh", "Sigmoid": "sigmoid", "Relu": "relu"}
-_OPERATORS = {name: operator for operator, name in _ACTIVATIONS.items()}
-
-
-@dataclass(frozen=True, eq=False)
-class Layer:
-    """One layer: ``activation(weights @ x + biases)``.
-
-    weights: float32 ``[out, in]``; biases: float32 ``[out]``; activation: "tanh",
-    "sigmoid", "relu" or "linear".
-    """
-
-    weights: NDArray[np.float32]
-    biases: NDArray[np.float32]
-    activation: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,22 +78,7 @@ class Controller:
 
 def to_model(controller: Controller) -> onnx.ModelProto:
     """Return the ONNX model of a controller; the same controller gives the same bytes."""
-    nodes, initializers, x = [], [], INPUT
-    last = len(controller.layers) - 1
-    for i, layer in enumerate(controller.layers):
-        weights, biases = f"layer{i}.weight", f"layer{i}.bias"
-        initializers += [
-            numpy_helper.from_array(np.ascontiguousarray(layer.weights), weights),
-            numpy_helper.from_array(np.ascontiguousarray(layer.biases), biases),
-        ]
-        linear = layer.activation == "linear"
-        y = OUTPUT if linear and i == last else f"layer{i}.sum"
-        nodes.append(helper.make_node("Gemm", [x, weights, biases], [y], f"layer{i}", transB=1))
-        if not linear:
-            x, y = y, OUTPUT if i == last else f"layer{i}.out"
-            operator = _OPERATORS[layer.activation]
-            nodes.append(helper.make_node(operator, [x], [y], f"layer{i}.{layer.activation}"))
-        x = y
+    nodes, initializers = write_chain(controller.layers, INPUT, OUTPUT)
     graph = helper.make_graph(
         nodes,
         "controller",
@@ -129,7 +100,7 @@ def save_controller(controller: Controller, path: Path) -> None:
     write_whole(path, to_model(controller).SerializeToString(deterministic=True))
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes | memoryview) -> None:
     """Write a file so that it is seen complete or not at all, even after a crash.
 
     Writers of the same path at the same time do not disturb each other: one of them wins.
@@ -181,7 +152,7 @@ def parse_controller(content: bytes, where: str) -> Controller:
             f"{where}: a controller has one input and one output; "
             f"this has {len(inputs)} and {len(graph.output)}"
         )
-    layers = _read_chain(graph, inputs[0].name, values, where)
+    layers = read_chain(graph, inputs[0], values, where)
     if layers[-1].weights.shape[0] != 1:
         raise BadInput(
             f"{where}: it returns {layers[-1].weights.shape[0]} values; a controller returns 1"
@@ -205,61 +176,6 @@ def _check_tensor(value: onnx.ValueInfoProto, width: int, where: str) -> None:
         raise BadInput(
             f"{where}: {value.name} has width {given.dim_value}, but the layers have {width}"
         )
-
-
-def _read_chain(
-    graph: onnx.GraphProto, x: str, values: dict[str, NDArray], where: str
-) -> tuple[Layer, ...]:
-    layers: list[Layer] = []
-    for node in graph.node:
-        name = node.name or node.op_type
-        known = node.op_type == "Gemm" or node.op_type in _ACTIVATIONS
-        if not known or node.domain not in {"", "ai.onnx"}:
-            raise BadInput(
-                f"{where}: operator {node.op_type} is not understood here; use Gemm followed by "
-                f"{', '.join(_ACTIVATIONS)} or nothing"
-            )
-        if node.input[0] != x or len(node.output) != 1:
-            raise BadInput(f"{where}: node {name} is not part of one chain of layers")
-        if node.op_type == "Gemm":
-            layers.append(_read_gemm(node, values, where))
-            if len(layers) > 1 and layers[-2].weights.shape[0] != layers[-1].weights.shape[1]:
-                raise BadInput(f"{where}: node {name} does not fit the layer before it")
-        elif layers and layers[-1].activation == "linear":
-            activation = _ACTIVATIONS[node.op_type]
-            layers[-1] = Layer(layers[-1].weights, layers[-1].biases, activation)
-        else:
-            raise BadInput(f"{where}: node {name} does not follow a Gemm")
-        x = node.output[0]
-    if not layers or x != graph.output[0].name:
-        raise BadInput(f"{where}: no chain of layers leads from the input to the output")
-    return tuple(layers)
-
-
-def _read_gemm(node: onnx.NodeProto, values: dict[str, NDArray], where: str) -> Layer:
-    attributes = {a.name: helper.get_attribute_value(a) for a in node.attribute}
-    scaled = attributes.get("alpha", 1.0) != 1.0 or attributes.get("beta", 1.0) != 1.0
-    if scaled or attributes.get("transA", 0):
-        raise BadInput(f"{where}: node {node.name} scales or transposes its input; use plain Gemm")
-    biased = len(node.input) > 2 and node.input[2] != ""
-    weights = values.get(node.input[1])
-    biases = values.get(node.input[2]) if biased else None
-    if weights is None or weights.ndim != 2 or not weights.size or (biased and biases is None):
-        raise BadInput(f"{where}: node {node.name} has no constant weights")
-    if not attributes.get("transB", 0):
-        weights = weights.T
-    if biases is None:
-        biases = np.zeros(weights.shape[0], dtype=np.float32)
-    if weights.dtype != np.float32 or biases.dtype != np.float32:
-        raise BadInput(f"{where}: node {node.name} is not float32")
-    if biases.shape not in {weights.shape[:1], (1, weights.shape[0])}:
-        raise BadInput(
-            f"{where}: node {node.name} has biases of shape {list(biases.shape)} "
-            f"for {weights.shape[0]} neurons"
-        )
-    if not (np.isfinite(weights).all() and np.isfinite(biases).all()):
-        raise BadInput(f"{where}: node {node.name} holds values that are not finite (NaN or inf)")
-    return Layer(np.ascontiguousarray(weights), biases.reshape(-1), "linear")
 
 
 def runtime_session(path: Path) -> InferenceSession:

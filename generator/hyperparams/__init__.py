@@ -16,12 +16,29 @@ from racecar.errors import BadInput
 ENVIRONMENT = "racecar/Hallway-v0"
 
 
+class ConvolutionArguments(Arguments):
+    """One convolution along the scan, without padding."""
+
+    channels: Positive
+    kernel: Positive = Field(description="places that a window covers")
+    stride: Positive
+
+
 class PolicyArguments(Arguments):
     """The networks of actor and critic."""
 
     activation: Literal["tanh", "relu"]
     critic: list[Positive]
     critic_activation: Literal["tanh", "relu"]
+    critic_rays: Annotated[int, Field(ge=2)] | None = Field(
+        None, description="the critics read every k-th ray, for the largest k that leaves so many"
+    )
+    convolutions: list[ConvolutionArguments] | None = Field(
+        None, min_length=1, description="of the actor, the first next to the scan"
+    )
+    hidden: list[Positive] | None = Field(
+        None, description="neurons of the actor's layers behind the convolutions"
+    )
     weight_decay: Annotated[float, Field(ge=0)] | None = Field(
         None, description="of both optimisers (Adam's L2 term); smaller weights steer more smoothly"
     )
@@ -64,13 +81,19 @@ class Hyperparameters(Arguments):
 AnyHyperparameters = Hyperparameters | RobustHyperparameters
 
 
-def load_hyperparameters(algorithm: str, own: Path | None = None) -> AnyHyperparameters:
-    """Return an algorithm's hyper-parameters, from the package or a file of one's own.
+def load_hyperparameters(name: str, own: Path | None = None) -> AnyHyperparameters:
+    """Return hyper-parameters, from the package or a file of one's own.
 
-    BadInput if the file is not one for the algorithm.
+    name: of the file, such as TD3 or TD3_wide_scan. BadInput if the package has none of this
+    name, or if the file is not one for the algorithm.
     """
-    kind = RobustHyperparameters if algorithm in STUDENTS else Hyperparameters
-    file = own or resources.files(__name__) / f"{algorithm.lower()}.yml"
+    kind = RobustHyperparameters if name in STUDENTS else Hyperparameters
+    file = own or resources.files(__name__) / f"{name.lower()}.yml"
+    if not file.is_file():
+        raise BadInput(
+            f"hyper-parameters {file.name} do not exist; write a file and give it with "
+            "--hyperparameters"
+        )
     try:
         block = yaml.safe_load(file.read_bytes())[ENVIRONMENT]
         return kind.model_validate(block)

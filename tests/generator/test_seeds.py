@@ -8,7 +8,7 @@ import pytest
 from generator.hyperparams import load_hyperparameters
 from generator.nominal import Nominal
 from generator.record import ControllerRecord, SeedRecord, load_record
-from generator.seeds import Trained, file_sha256, find_controller, publish
+from generator.seeds import Trained, file_sha256, find_controller, publish, published_seeds
 from generator.setups import parse_setup
 from racecar.controller import load_controller
 from racecar.errors import BadInput
@@ -144,3 +144,40 @@ def test_a_folder_in_use_is_left_alone(tmp_path, trainer):
             find("TD3_L5_8_C1", tmp_path, trainer)
     assert trainer.trained == []
     assert find("TD3_L5_8_C1", tmp_path, trainer) is not None
+
+
+def find_published(name, work, trainer, out, parameters=PARAMETERS):
+    """What the command does; the trainer's library is as if installed."""
+    setup = parse_setup(name)
+    known = published_seeds(setup, parameters, out)
+    return find_controller(setup, parameters, work, 10, trainer, known=known)
+
+
+def test_what_published_controllers_tried_is_not_trained_again(tmp_path, trainer, monkeypatch):
+    monkeypatch.setattr("generator.seeds.version", {"torch": "0"}.__getitem__)
+    publish(*find("TD3_L5_8_C1", tmp_path / "work", trainer), tmp_path / "out")
+    trainer.trained.clear()
+    record, folder = find_published("TD3_L5_8_C2", tmp_path / "empty", trainer, tmp_path / "out")
+    assert trainer.trained == [3, 4]
+    assert (record, folder.name) == (find("TD3_L5_8_C2", tmp_path / "work", trainer)[0], "seed_4")
+    publish(record, folder, tmp_path / "out")
+    # The same controller again is trained: only so can its files be made.
+    trainer.trained.clear()
+    assert find_published("TD3_L5_8_C2", tmp_path / "new", trainer, tmp_path / "out")[0] == record
+    assert trainer.trained == [4]
+
+
+def test_published_results_of_other_trainings_do_not_count(tmp_path, trainer, monkeypatch):
+    publish(*find("TD3_L5_8_C1", tmp_path / "work", trainer), tmp_path / "out")
+
+    def known(parameters=PARAMETERS, family="TD3_L5_8"):
+        return sorted(published_seeds(parse_setup(f"{family}_C2"), parameters, tmp_path / "out"))
+
+    assert known() == []  # torch 0 is not what is installed
+    monkeypatch.setattr("generator.seeds.version", {"torch": "0"}.__getitem__)
+    assert known() == [1, 2]
+    assert known(PARAMETERS.model_copy(update={"gamma": 0.9})) == []
+    assert known(family="TD3_L5_8x8") == []
+    (tmp_path / "out" / "TD3_L5_8_C1.json").write_text("{}")
+    with pytest.raises(BadInput, match=r"TD3_L5_8_C1\.json"):
+        known()

@@ -10,10 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 from generator.cli import main
-from generator.hyperparams import load_hyperparameters
+from generator.hyperparams import ConvolutionArguments
 from generator.nominal import Nominal
 from generator.seeds import CHECKPOINT, CONTROLLER, CURVE, try_seed
-from generator.setups import parse_setup
+from generator.setups import parse_setup, setup_hyperparameters
 from racecar.controller import load_controller, runtime_session, save_controller, to_model
 from racecar.errors import BadInput
 
@@ -32,21 +32,27 @@ TINY = {
 }
 
 
-def tiny(algorithm, **changes):
-    parameters = load_hyperparameters(algorithm)
-    critic = parameters.policy_kwargs.model_copy(update={"critic": [16]})
-    return parameters.model_copy(update={"policy_kwargs": critic} | TINY | changes)
+def tiny(setup, **changes):
+    parameters = setup_hyperparameters(setup)
+    smaller = {"critic": [16]} | ({"critic_rays": 5} if setup.rays > 61 else {})
+    if setup.convolutional:
+        sizes = ((2, 5, 3), (3, 4, 2))
+        convolutions = [ConvolutionArguments(channels=a, kernel=b, stride=c) for a, b, c in sizes]
+        smaller |= {"convolutions": convolutions, "hidden": [8]}
+    networks = parameters.policy_kwargs.model_copy(update=smaller)
+    return parameters.model_copy(update={"policy_kwargs": networks} | TINY | changes)
 
 
 def model_bytes(controller):
     return to_model(controller).SerializeToString(deterministic=True)
 
 
-def run_training(algorithm, folder, stop_at=(), **changes):
+def run_training(network, folder, stop_at=(), **changes):
     """Train in one go, or stopped at the given steps and begun again by a fresh call."""
     from generator.train import train
 
-    setup, parameters = parse_setup(f"{algorithm}_L5_8x8_C1"), tiny(algorithm, **changes)
+    setup = parse_setup(f"{network}_C1")
+    parameters = tiny(setup, **changes)
     folder.mkdir(parents=True, exist_ok=True)
     for stop in stop_at:
 
@@ -63,12 +69,14 @@ def without_times(curve):
     return [{k: v for k, v in row.items() if k != "seconds"} for row in curve]
 
 
-@pytest.mark.parametrize("algorithm", ["TD3", "DDPG"])
-def test_an_interrupted_training_ends_in_the_same_bytes(tmp_path, algorithm):
-    whole = run_training(algorithm, tmp_path / "whole")
+@pytest.mark.parametrize(
+    "network", ["TD3_L5_8x8", "DDPG_L5_8x8", "TD3_L121_8x8x8x8relu", "TD3_L41_conv"]
+)
+def test_an_interrupted_training_ends_in_the_same_bytes(tmp_path, network):
+    whole = run_training(network, tmp_path / "whole")
     # Stopped before the first gradient step, in the middle of a chunk (whose steps are lost
     # and done again), at a checkpoint's very step, and after the replay buffer wrapped.
-    stopped = run_training(algorithm, tmp_path / "stopped", stop_at=(200, 300, 400, 700))
+    stopped = run_training(network, tmp_path / "stopped", stop_at=(200, 300, 400, 700))
     assert model_bytes(stopped.controller) == model_bytes(whole.controller)
     assert without_times(stopped.curve) == without_times(whole.curve)
     assert [row["timesteps"] for row in whole.curve] == [200, 400, 600, 800, 900]
@@ -77,21 +85,21 @@ def test_an_interrupted_training_ends_in_the_same_bytes(tmp_path, algorithm):
 
 def test_training_changes_the_network_only_once_it_learns(tmp_path):
     """The test above means something: gradient steps happen, and seeds matter."""
-    first = run_training("TD3", tmp_path / "a", n_timesteps=200).controller
-    second = run_training("TD3", tmp_path / "b", n_timesteps=240).controller
-    learned = run_training("TD3", tmp_path / "c").controller
+    first = run_training("TD3_L5_8x8", tmp_path / "a", n_timesteps=200).controller
+    second = run_training("TD3_L5_8x8", tmp_path / "b", n_timesteps=240).controller
+    learned = run_training("TD3_L5_8x8", tmp_path / "c").controller
     np.testing.assert_array_equal(first.layers[0].weights, second.layers[0].weights)
     assert np.abs(learned.layers[0].weights - first.layers[0].weights).max() > 1e-4
 
 
 def test_another_process_gives_the_same_bytes(tmp_path):
-    here = run_training("TD3", tmp_path / "here", n_timesteps=400).controller
+    here = run_training("TD3_L5_8x8", tmp_path / "here", n_timesteps=400).controller
     code = (
         "import sys; from pathlib import Path; sys.path.insert(0, sys.argv[1])\n"
         "from test_train import run_training\n"
         "from racecar.controller import save_controller\n"
         "work = Path(sys.argv[2])\n"
-        "controller = run_training('TD3', work, n_timesteps=400).controller\n"
+        "controller = run_training('TD3_L5_8x8', work, n_timesteps=400).controller\n"
         "save_controller(controller, work / 'c.onnx')\n"
     )
     arguments = [sys.executable, "-c", code, str(Path(__file__).parent), str(tmp_path / "there")]
@@ -99,17 +107,18 @@ def test_another_process_gives_the_same_bytes(tmp_path):
     assert (tmp_path / "there" / "c.onnx").read_bytes() == model_bytes(here)
 
 
-def test_the_file_drives_as_the_trained_actor(tmp_path):
+@pytest.mark.parametrize("name", ["TD3_L5_8x8_C1", "TD3_L121_16x8relu_C1", "TD3_L41_conv_C1"])
+def test_the_file_drives_as_the_trained_actor(tmp_path, name):
     """Against onnxruntime, an evaluation that shares no code with the export."""
     import torch
 
     from generator.train import _make_model, export, export_error
 
-    setup = parse_setup("TD3_L5_8x8_C1")
-    model = _make_model(setup, tiny("TD3"), seed=3)
+    setup = parse_setup(name)
+    model = _make_model(setup, tiny(setup), seed=3)
     controller = export(model, {})
     save_controller(controller, tmp_path / "c.onnx")
-    scan = np.random.default_rng(1).uniform(0, 5, (1000, 5)).astype(np.float32)
+    scan = np.random.default_rng(1).uniform(0, 5, (1000, setup.rays)).astype(np.float32)
     (ours,) = runtime_session(tmp_path / "c.onnx").run(None, {"scan": scan})
     with torch.no_grad():
         actor = model.actor(torch.as_tensor(scan)).numpy()
@@ -121,7 +130,7 @@ def test_the_file_drives_as_the_trained_actor(tmp_path):
 
 
 def test_metadata_names_the_training_and_no_date(tmp_path):
-    metadata = run_training("TD3", tmp_path, n_timesteps=200).controller.metadata
+    metadata = run_training("TD3_L5_8x8", tmp_path, n_timesteps=200).controller.metadata
     assert set(metadata) == {
         "algorithm",
         "gymnasium",
@@ -140,20 +149,21 @@ def test_metadata_names_the_training_and_no_date(tmp_path):
 
 
 def test_a_checkpoint_of_another_training_or_a_broken_one_is_refused(tmp_path):
-    run_training("TD3", tmp_path, n_timesteps=200)
+    run_training("TD3_L5_8x8", tmp_path, n_timesteps=200)
     with pytest.raises(BadInput, match="begun with other hyper-parameters"):
-        run_training("TD3", tmp_path, n_timesteps=400)
+        run_training("TD3_L5_8x8", tmp_path, n_timesteps=400)
     checkpoint = tmp_path / CHECKPOINT
     checkpoint.write_bytes(checkpoint.read_bytes()[:1000])
     with pytest.raises(BadInput, match="not a checkpoint"):
-        run_training("TD3", tmp_path, n_timesteps=200)
+        run_training("TD3_L5_8x8", tmp_path, n_timesteps=200)
 
 
 def test_a_finished_checkpoint_goes_straight_to_export(tmp_path):
     from generator.train import train
 
-    setup, parameters = parse_setup("TD3_L5_8x8_C1"), tiny("TD3", n_timesteps=400)
-    run_training("TD3", tmp_path, n_timesteps=400)
+    setup = parse_setup("TD3_L5_8x8_C1")
+    parameters = tiny(setup, n_timesteps=400)
+    run_training("TD3_L5_8x8", tmp_path, n_timesteps=400)
     steps = []
 
     def train_seed(setup, seed, parameters, folder):
