@@ -8,7 +8,8 @@ state of every random generator.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 
@@ -65,9 +66,6 @@ def train(
     with other settings.
     """
     torch.set_num_threads(1)
-    # Weight decay sends the weights of dead neurons to denormal numbers, with which products of
-    # matrices take a hundred times longer; too small to count beside any other, they are zero here.
-    torch.set_flush_denormal(True)
     total = parameters.n_timesteps
     libraries = {name: version(name) for name in LIBRARIES}
     settings = training_settings(setup, seed, parameters, libraries)
@@ -77,12 +75,13 @@ def train(
         curve = restore_checkpoint(model, settings, checkpoint)
     while model.num_timesteps < total:
         began = time.perf_counter()
-        model.learn(
-            min(chunk, total - model.num_timesteps),
-            callback=_Progress(lambda done: report(done, total)),
-            reset_num_timesteps=False,
-            log_interval=10**9,
-        )
+        with _denormals_as_zero():
+            model.learn(
+                min(chunk, total - model.num_timesteps),
+                callback=_Progress(lambda done: report(done, total)),
+                reset_num_timesteps=False,
+                log_interval=10**9,
+            )
         controller = export(model, {})
         nominal = drive_nominal(controller, setup.field_of_view)
         curve.append(
@@ -111,6 +110,21 @@ def train(
         raise RuntimeError(f"the exported network strays {error} rad from the torch actor")
     nominal = drive_nominal(controller, setup.field_of_view)
     return Trained(controller, nominal, curve, libraries, error)
+
+
+@contextmanager
+def _denormals_as_zero() -> Iterator[None]:
+    """Take denormal numbers for zero.
+
+    Weight decay sends the weights of dead neurons there, and products of matrices then take a
+    hundred times longer. It is a state of the whole process, in which the bounds of rounding
+    that proofs rely on do not hold: so no longer than need be.
+    """
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(False)
 
 
 def _mean(values: list[float]) -> float:
