@@ -32,6 +32,7 @@ import numpy as np
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
+from matplotlib.ticker import LogLocator
 
 from generator.hyperparams import AnyHyperparameters, Hyperparameters, load_hyperparameters
 from generator.instances import benchmark_plant
@@ -185,10 +186,11 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
               ha="right", va="bottom", fontsize=8)  # fmt: skip
     axes.set_xscale("log")
     axes.set_yscale("log")
-    for axis, form in ((axes.xaxis, "%g"), (axes.yaxis, "%g")):
-        axis.set_major_formatter(form)
-        axis.set_minor_formatter(form)
-        axis.set_tick_params(which="both", labelsize=7)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
+        axis.set_tick_params(labelsize=8)
     axes.set_xlabel("CPU time of the training (s)")
     axes.set_ylabel("unsafe runs under the paper's faults (share)")
     axes.legend(fontsize=8, loc="lower left")
