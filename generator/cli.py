@@ -13,6 +13,7 @@ from rich.table import Table
 
 from generator.card.command import card
 from generator.categories import CATEGORIES
+from generator.command_options import FILE, FOLDER, json_option, root_option
 from generator.controllers_command import controllers
 from generator.emit import build, category_folders, load_controllers
 from generator.export_command import export
@@ -35,12 +36,6 @@ from racecar.experiment import default_field_of_view
 from racecar.faultmodels.find import find_faults
 from racecar.faultmodels.spec import FaultSpec
 
-CHECKOUT = Path(__file__).resolve().parents[1]
-
-_FILE = click.Path(path_type=Path, dir_okay=False)
-_FOLDER = click.Path(path_type=Path, file_okay=False)
-_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 def main() -> None:
@@ -49,10 +44,10 @@ def main() -> None:
 
 @main.command()
 @click.argument("name")
-@click.option("--out", type=_FOLDER, default="onnx", show_default=True, help="For the controller.")
+@click.option("--out", type=FOLDER, default="onnx", show_default=True, help="For the controller.")
 @click.option(
     "--work",
-    type=_FOLDER,
+    type=FOLDER,
     default="training",
     show_default=True,
     help="For each seed's checkpoint and result; run again to go on where it stopped.",
@@ -60,12 +55,12 @@ def main() -> None:
 @click.option(
     "--hyperparameters",
     "own",
-    type=_FILE,
+    type=FILE,
     help="A file of one's own, laid out like generator/hyperparams/*.yml.",
 )
 @click.option("--timesteps", type=click.IntRange(1), help="Steps to train, instead of the file's.")
 @click.option("--max-seeds", type=click.IntRange(1), default=20, show_default=True)
-@_json_option
+@json_option
 def train(
     name: str,
     out: Path,
@@ -147,10 +142,10 @@ def _trainer(algorithm: str, report: Callable[[int, int, int], None]) -> Train:
 
 
 @main.command("import-yaml")
-@click.argument("file", type=_FILE)
-@click.option("-o", "--output", type=_FILE, required=True, help="ONNX file to write.")
+@click.argument("file", type=FILE)
+@click.option("-o", "--output", type=FILE, required=True, help="ONNX file to write.")
 @click.option("--name", help="Kept in the file's metadata  [default: the output file's name]")
-@_json_option
+@json_option
 def import_yaml_command(file: Path, output: Path, name: str | None, as_json: bool) -> None:
     """Import a network FILE in the YAML layout that Verisig reads.
 
@@ -169,12 +164,12 @@ def import_yaml_command(file: Path, output: Path, name: str | None, as_json: boo
 
 @main.command()
 @click.argument("faults")
-@click.option("-o", "--output", type=_FILE, required=True, help="HDF5 file to write.")
+@click.option("-o", "--output", type=FILE, required=True, help="HDF5 file to write.")
 @click.option("--runs", type=click.IntRange(1), default=100, show_default=True)
 @click.option("--rays", type=click.IntRange(2), default=21, show_default=True)
 @click.option("--steps", type=click.IntRange(1), default=70, show_default=True)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@_json_option
+@json_option
 def scenarios(
     faults: str, output: Path, runs: int, rays: int, steps: int, seed: int, as_json: bool
 ) -> None:
@@ -210,11 +205,11 @@ main.add_command(reference)
     type=click.Choice(list(CATEGORIES)),
     help="May be repeated  [default: all]",
 )
-@click.option("--root", type=_FOLDER, default=CHECKOUT, help="Default: the checkout.")
+@root_option
 @click.option(
     "--jobs", type=click.IntRange(1), help="Processes at a time  [default: one for each core]"
 )
-@_json_option
+@json_option
 def emit(check: bool, names: tuple[str, ...], root: Path, jobs: int | None, as_json: bool) -> int:
     """Emit the instance sets of the controllers in ROOT/onnx to ROOT/benchmarks."""
     categories = [c for c in CATEGORIES.values() if not names or c.name in names]

@@ -9,24 +9,20 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from generator.command_options import FILE, root_option
 from generator.controllers_table import RUNS, Row, format_table, table_row, trained_names
 from generator.progress import progress_bar
 from racecar.command_line import print_json
 from racecar.controller import write_whole
 
-CHECKOUT = Path(__file__).resolve().parents[1]
-_FOLDER = click.Path(path_type=Path, file_okay=False)
-
 
 @click.command()
 @click.argument("names", nargs=-1)
-@click.option("--root", type=_FOLDER, default=CHECKOUT, help="Default: the checkout.")
+@root_option
 @click.option(
     "--runs", type=click.IntRange(1), default=RUNS, show_default=True, help="Of each, with faults."
 )
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Also write a CSV file."
-)
+@click.option("-o", "--output", type=FILE, help="Also write a CSV file.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per controller.")
 def controllers(
     names: tuple[str, ...], root: Path, runs: int, output: Path | None, as_json: bool

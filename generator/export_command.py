@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from generator.command_options import CHECKOUT, FILE, FOLDER
 from generator.progress import progress_bar
 from racecar.command_line import print_json
 from racecar.controller import write_whole
@@ -18,17 +19,13 @@ from racecar.instance import Instance, load_instance, load_instance_controller
 #: Kept here as well as in generator.hybrid.export, so that ``--help`` imports nothing heavy.
 FORMATS = ("flowstar", "spaceex", "json", "verisig")
 
-CHECKOUT = Path(__file__).resolve().parents[1]
-_FILE = click.Path(path_type=Path, dir_okay=False)
-_FOLDER = click.Path(path_type=Path, file_okay=False)
-
 
 def hybrid_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add the arguments of ``export_hybrid`` to a click command."""
     for add in (
         click.option("--json", "as_json", is_flag=True, help="Print one JSON object per file set."),
         click.option("--plain", is_flag=True, help="Do not compress the files."),
-        click.option("-o", "--output", type=_FOLDER, default="export", show_default=True),
+        click.option("-o", "--output", type=FOLDER, default="export", show_default=True),
         click.option(
             "--format",
             "forms",
@@ -36,7 +33,7 @@ def hybrid_options(function: Callable[..., Any]) -> Callable[..., Any]:
             type=click.Choice(FORMATS),
             help="May be repeated  [default: all]",
         ),
-        click.argument("instances", nargs=-1, type=_FILE),
+        click.argument("instances", nargs=-1, type=FILE),
     ):
         function = add(function)
     return function
@@ -129,7 +126,7 @@ def export_layout(
 @click.command()
 @click.option("--layout", type=click.Choice(["vnncomp"]), help="Whole categories, as published.")
 @click.option("--category", "names", multiple=True, help="With --layout; may be repeated.")
-@click.option("--root", type=_FOLDER, default=CHECKOUT, help="With --layout  [default: checkout]")
+@click.option("--root", type=FOLDER, default=CHECKOUT, help="With --layout  [default: checkout]")
 @hybrid_options
 def export(
     layout: str | None, names: tuple[str, ...], root: Path, instances: tuple[Path, ...],

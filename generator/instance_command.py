@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from generator.command_options import FILE, json_option
 from generator.instances import ControllerFile, Question, Range, make_instance
 from generator.partition import exact_decimal
 from racecar.command_line import print_json
@@ -21,7 +22,6 @@ from racecar.experiment import default_field_of_view
 from racecar.instance import save_instance
 from racecar.safety import PROPERTIES
 
-_FILE = click.Path(path_type=Path, dir_okay=False)
 #: Options that take one number or two; the command has no arguments that are numbers.
 _RANGE = re.compile(r"--(start|front|speed|heading)")
 _FIRST = re.compile(_RANGE.pattern + r"=\S+")
@@ -77,7 +77,7 @@ def _range_option(name: str, default: str | None, text: str) -> Callable[[Any], 
 
 
 @click.command(cls=_Ranges)
-@click.option("--onnx", type=_FILE, required=True, help="The controller.")
+@click.option("--onnx", type=FILE, required=True, help="The controller.")
 @_range_option("--start", None, "Distance to the left wall s, m.")
 @_range_option("--front", "9.9", "Distance to the front wall f, m.")
 @_range_option("--speed", "0", "m/s")
@@ -121,8 +121,8 @@ def _range_option(name: str, default: str | None, text: str) -> Callable[[Any], 
 )
 @click.option("--id", "name", help="ID of the instance  [default: the output file's name]")
 @click.option("--category", default="custom", show_default=True)
-@click.option("-o", "--output", type=_FILE, required=True, help="JSON file to write.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("-o", "--output", type=FILE, required=True, help="JSON file to write.")
+@json_option
 def instance(
     onnx: Path,
     start: Range,

@@ -12,6 +12,7 @@ import click
 from generator.card.facts import read_dataset
 from generator.card.text import card_text
 from generator.categories import CATEGORIES
+from generator.command_options import json_option, root_option
 from generator.emit import MANIFEST, all_folders
 from generator.piece import FOLDER
 from generator.tree import (
@@ -29,18 +30,12 @@ if TYPE_CHECKING:
 CARD, FIGURES = f"{FOLDER}/README.md", f"{FOLDER}/figures"
 #: The sha256 of the numbers that each figure shows.
 SHOWN = f"{FIGURES}/shown.json"
-CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 @click.command()
 @click.option("--check", is_flag=True, help="Write nothing; status 1 if a file is not current.")
-@click.option(
-    "--root",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=CHECKOUT,
-    help="Default: the checkout.",
-)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@root_option
+@json_option
 def card(check: bool, root: Path, as_json: bool) -> int:
     """Make the data card, ROOT/benchmarks/README.md, and its figures from the dataset.
 

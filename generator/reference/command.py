@@ -12,6 +12,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from generator.command_options import FOLDER, root_option
 from racecar.command_line import CHECK_FAILED, DONE, print_json
 from racecar.errors import BadInput
 
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from generator.reference.runs import Work
     from harness.catalogue import Entry
 
-CHECKOUT = Path(__file__).resolve().parents[2]
-_FOLDER = click.Path(path_type=Path, file_okay=False)
 #: Its certificates settle most of the second one.
 _WHOLE, _PARTS = "full_range", "closed_loop"
 
@@ -48,7 +47,7 @@ class Selection:
     help="With --verify: a certificate with another hash fails, even if it proves the row.",
 )  # fmt: skip
 @click.option(
-    "--work", type=_FOLDER, default="reference", show_default=True,
+    "--work", type=FOLDER, default="reference", show_default=True,
     help="For the runs and the certificates; run again to go on where it stopped.",
 )  # fmt: skip
 @click.option(
@@ -61,7 +60,7 @@ class Selection:
 )  # fmt: skip
 @click.option("--jobs", type=click.IntRange(1), help="Instances at a time.  [default: 1]")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask scheduler.")
-@click.option("--root", type=_FOLDER, default=CHECKOUT, help="Default: the checkout.")
+@root_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per result.")
 def reference(
     verifying: bool, categories: tuple[str, ...], controllers: tuple[str, ...],
