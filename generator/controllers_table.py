@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from generator.instances import ControllerFile, benchmark_plant
-from generator.record import ControllerRecord, Tried, load_record
+from generator.instances import benchmark_plant
+from generator.published import load_published, published_names
+from generator.record import Tried
 from generator.setups import parse_setup
 from racecar.errors import BadInput
 from racecar.experiment import Experiment, RandomStarts, run_experiment
@@ -69,12 +70,8 @@ def table_row(root: Path, name: str, runs: int = RUNS) -> Row:
     Raises BadInput if one of its three files is missing or broken, or the network is not the one
     of the record.
     """
-    folder = root / "onnx"
-    record = load_record(folder / f"{name}.json", ControllerRecord)
-    file = ControllerFile.load(folder / f"{name}.onnx")
-    if record.sha256 != file.sha256 or record.name != name:
-        raise BadInput(f"{folder / name}.json: it is not the record of {file.path.name}")
-    setup, curve = parse_setup(name), _read_curve(folder / f"{name}.curve.csv")
+    file, record = load_published(root, name)
+    setup, curve = parse_setup(name), _read_curve(file.path.with_suffix(".curve.csv"))
     plant = benchmark_plant(setup.rays, setup.field_of_view)
     safety = named_property("clearance", plant.track)
     experiment = Experiment(plant, safety, RandomStarts(), FAULTS["paper"], runs, seed=SEED)
@@ -105,14 +102,8 @@ def trained_names(root: Path) -> list[str]:
 
     Raises BadInput if there is none.
     """
-    names = [path.stem for path in (root / "onnx").glob("*.json")]
-    if not names:
-        raise BadInput(
-            f"{root / 'onnx'}: it holds no controller with a training record; "
-            "make one with `generator train` or choose another --root"
-        )
     setups = sorted(
-        map(parse_setup, names),
+        map(parse_setup, published_names(root)),
         key=lambda x: (x.algorithm, x.rays, x.activation != "tanh", x.hidden, x.index),
     )
     return [x.name for x in setups]

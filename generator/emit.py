@@ -17,9 +17,8 @@ from generator.instances import ControllerFile
 from generator.openloop.part import NETWORKS, SPECS
 from generator.partition import Partition
 from generator.piece import FOLDER, Piece, Row, make_piece
-from generator.record import ControllerRecord, load_record
+from generator.published import load_published, published_names
 from generator.tree import TRACES, Emitted, Tree, format_json
-from racecar.errors import BadInput
 from racecar.instance import instance_schema
 
 SCHEMA, MANIFEST = f"{FOLDER}/instance.schema.json", f"{FOLDER}/manifest.json"
@@ -31,19 +30,7 @@ def load_controllers(root: Path) -> list[ControllerFile]:
 
     Raises BadInput if there is none, or if a record is not the one of its controller.
     """
-    files = []
-    for path in sorted((root / "onnx").glob("*.json")):
-        record = load_record(path, ControllerRecord)
-        file = ControllerFile.load(path.with_suffix(".onnx"))
-        if record.sha256 != file.sha256 or record.name != file.name:
-            raise BadInput(f"{path}: it is not the record of {file.path.name}; train it again")
-        files.append(file)
-    if not files:
-        raise BadInput(
-            f"{root / 'onnx'}: it holds no controller with a training record; "
-            "make one with `generator train` or choose another --root"
-        )
-    return files
+    return [load_published(root, name)[0] for name in published_names(root)]
 
 
 def build(

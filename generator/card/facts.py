@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
-from generator.emit import load_controllers
 from generator.instances import ControllerFile
 from generator.piece import FOLDER
-from generator.record import ControllerRecord, load_record
+from generator.published import load_published, published_names
+from generator.record import ControllerRecord
 from racecar.errors import BadInput
 from racecar.instance import read_text
 
@@ -95,18 +95,15 @@ def read_dataset(root: Path, order: Sequence[str]) -> Dataset:
 
     Raises BadInput if nothing is emitted there, or a table is broken.
     """
-    controllers = load_controllers(root)
-    records = {
-        file.name: load_record(file.path.with_suffix(".json"), ControllerRecord)
-        for file in controllers
-    }
+    published = [load_published(root, name) for name in published_names(root)]
     names = {path.parent.name for path in (root / FOLDER).glob("*/instances.csv")}
     if not names:
         raise BadInput(f"{root / FOLDER}: no category is there; run `generator emit` first")
     listed = [name for name in order if name in names] + sorted(names - set(order))
     categories = tuple(_category(root, name) for name in listed)
     networks = _bytes(path for path in (root / "onnx").iterdir() if path.is_file())
-    return Dataset(tuple(controllers), records, categories, networks)
+    files = tuple(file for file, _ in published)
+    return Dataset(files, {file.name: record for file, record in published}, categories, networks)
 
 
 def _category(root: Path, name: str) -> CategoryFacts:
