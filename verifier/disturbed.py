@@ -7,7 +7,7 @@ errors of different rays meet with the signs of their weights; behind it they ar
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from racecar.faults import TURN_LEAD
 from racecar.instance import Disturbance
 from verifier.models import Array, Models, bounds, norm
 from verifier.network import Network
+from verifier.raychoices import choices, masks
 from verifier.rounding import TINY, UP
 from verifier.rows import Assumption, F, Inside, Rows, S
 from verifier.scan import Guards
@@ -44,22 +45,17 @@ def cases(disturbance: Disturbance | None, rays: int) -> Bools:
         raise MirrorsUnknown
     if disturbance is None or not disturbance.missing:
         return np.zeros((1, rays), dtype=bool)
-    chosen = _choices(np.arange(rays), disturbance.missing)
+    chosen = _choices(rays, disturbance.missing)
     if disturbance.choice == "step":
         return np.ones((1, rays), dtype=bool)
-    masks = np.zeros((len(chosen), rays), dtype=bool)
-    for mask, some in zip(masks, chosen, strict=True):
-        mask[list(some)] = True
-    return masks
+    return masks(chosen, rays)
 
 
-def _choices(rays: NDArray[np.intp], most: int) -> list[tuple[int, ...]]:
-    found: list[tuple[int, ...]] = []
-    for count in range(most + 1):
-        for some in combinations(rays.tolist(), count):
-            if len(found) == MOST_CHOICES:
-                raise TooManyChoices
-            found.append(some)
+def _choices(rays: int, most: int) -> list[tuple[int, ...]]:
+    """Return the sets of at most ``most`` rays; raises TooManyChoices."""
+    found = list(islice(choices(rays, most), MOST_CHOICES + 1))
+    if len(found) > MOST_CHOICES:
+        raise TooManyChoices
     return found
 
 
@@ -166,9 +162,7 @@ def steering_of_choices(
     """Return steering ``[rows]`` that contains every choice of up to ``most`` missing rays."""
     rays = distance.radius.shape[0]
     found = []
-    for some in _choices(np.arange(rays), most):
-        gone = np.zeros(rays, dtype=bool)
-        gone[list(some)] = True
+    for gone in masks(_choices(rays, most), rays):
         scan = without(distance, gone[:, None] & inside[None, :], reach)
         found.append(steering_apart(network, scan, noise))
     return hull(found)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations, islice
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from verifier.attack import Mask
+from verifier.raychoices import choices, masks
 from verifier.search import Search
 
 #: All choices are tried one by one if there are no more than so many.
@@ -49,29 +50,25 @@ def every_choice(search: Search) -> FaultSets:
     """
     rays, most, mirrors = search.problem.plant.lidar.rays, search.given.missing, search.mirrors
     room = MOST_CHOICES // len(mirrors)
-    sets = (some for size in range(most + 1) for some in combinations(range(rays), size))
-    kept = list(islice(sets, max(room, 1 + rays)))
-    masks = np.zeros((len(kept), rays), dtype=bool)
-    for mask, some in zip(masks, kept, strict=True):
-        mask[list(some)] = True
-    return FaultSets(np.repeat(masks, len(mirrors), axis=0), np.tile(mirrors, len(masks)))
+    gone = masks(list(islice(choices(rays, most), max(room, 1 + rays))), rays)
+    return FaultSets(np.repeat(gone, len(mirrors), axis=0), np.tile(mirrors, len(gone)))
 
 
 def random_choices(search: Search, count: int) -> FaultSets:
     """Return choices, most of them with as many missing rays as there may be."""
     rays, most, random = search.problem.plant.lidar.rays, search.given.missing, search.random
-    masks = np.zeros((count, rays), dtype=bool)
+    gone = np.zeros((count, rays), dtype=bool)
     if most:
-        for mask in masks:
+        for mask in gone:
             size = most if random.random() < 0.75 else random.integers(most + 1)
             mask[random.choice(rays, size, replace=False)] = True
-    return FaultSets(masks, random.choice(search.mirrors, count))
+    return FaultSets(gone, random.choice(search.mirrors, count))
 
 
 def neighbours(search: Search, gone: Mask, mirror: int) -> FaultSets:
     """Return the choices that differ in one ray (more, less or another one), or in the segment."""
     mine, theirs = np.flatnonzero(gone), np.flatnonzero(~gone)
-    masks = []
+    changed = []
     for off in [*mine, -1]:
         for on in [*theirs, -1] if search.given.missing else []:
             mask = gone.copy()
@@ -80,13 +77,13 @@ def neighbours(search: Search, gone: Mask, mirror: int) -> FaultSets:
             if on >= 0:
                 mask[on] = True
             if mask.sum() <= search.given.missing and (mask != gone).any():
-                masks.append(mask)
+                changed.append(mask)
     others = search.mirrors[search.mirrors != mirror]
     return FaultSets(
         np.concatenate(
-            [np.array(masks, dtype=bool).reshape(-1, len(gone)), np.tile(gone, (len(others), 1))]
+            [np.array(changed, dtype=bool).reshape(-1, len(gone)), np.tile(gone, (len(others), 1))]
         ),
-        np.concatenate([np.full(len(masks), mirror, dtype=np.intp), others]),
+        np.concatenate([np.full(len(changed), mirror, dtype=np.intp), others]),
     )
 
 
