@@ -51,6 +51,8 @@ def _worst(search: Search) -> tuple[Attacks, Array]:
     """Search once, until nothing is gained any more: the best attacks and their margins."""
     elite, values = _begin(search)
     idle, seen = 0, set[bytes]()
+    # Pushes would have to change with the start: then it is looked for along a line only.
+    every_start = not search.pushed or np.count_nonzero(search.upper > search.lower) <= 1
     while values[0] > 0 and not search.over and idle < ROUNDS_WITHOUT_GAIN:
         new = [mutants(search, elite, LATER), *_near(search, elite, seen)]
         if search.pushed:
@@ -62,7 +64,7 @@ def _worst(search: Search) -> tuple[Attacks, Array]:
             pool = Attacks.join([elite, attacks]), np.append(values, margins)
             reached, margins = descend(search, *_islands(search, *pool))
             elite, values = _best(Attacks.join([elite, reached]), np.append(values, margins))
-        for attack in _unseen(elite, seen, b"all starts"):
+        for attack in _unseen(elite, seen, b"all starts") if every_start else []:
             if not values[0] > 0 or search.over:
                 break
             attack, margin = _lowest(search, attack)  # noqa: PLW2901
@@ -107,12 +109,7 @@ def _near(search: Search, elite: Attacks, seen: set[bytes]) -> list[Attacks]:
 
 
 def _lowest(search: Search, attack: Attacks) -> tuple[Attacks, float]:
-    """Return the worst start for what an attack does, and its margin.
-
-    Pushes would have to change with the start: then it is looked for along a line only.
-    """
-    if search.pushed and np.count_nonzero(search.upper > search.lower) > 1:
-        return attack, float(search.margins(attack)[0])
+    """Return the worst start for what an attack does, and its margin."""
 
     def at(starts: Array) -> Attacks:
         return replace(attack.repeated(len(starts)), start=starts)
