@@ -157,17 +157,17 @@ class Checker:
         """Prove clearance and image of one period."""
         row, assumed = self.rows[i], self.forest.assumptions(i)
         require(self.settled(i), "it may have to change its frame before it drives")
-        todo: list[Cuts] = [()]
+        todo: list[tuple[Cuts, list[Model]]] = [((), state_of(row))]
         while todo:
-            cuts = todo.pop()
-            state = restricted(state_of(row), cuts)
+            cuts, state = todo.pop()
             try:
                 self._check_period(row, state, assumed, image, cuts)
             except (Rejected, ArithmeticError):
                 if len(cuts) == _DIVIDED:
                     raise
                 k = _longest(state)
-                todo += [(*cuts, (k, -ONE, ZERO)), (*cuts, (k, ZERO, ONE))]
+                for cut in ((k, -ONE, ZERO), (k, ZERO, ONE)):
+                    todo.append(((*cuts, cut), restricted(state, (cut,))))
 
     def _check_period(
         self, row: Row, state: list[Model], assumed: Assumed, image: Row, cuts: Cuts
