@@ -18,7 +18,6 @@ official parser. Cost: processor time of an export to all formats, of a committe
 from __future__ import annotations
 
 import argparse
-import gzip
 import json
 import sys
 from collections.abc import Callable, Iterator
@@ -33,6 +32,7 @@ import onnxruntime
 from onnx.reference import ReferenceEvaluator
 
 import vnnlib
+from generator.gzipped import unpacked
 from generator.hybrid.export import FORMATS, Exporter, hybrid_files
 from generator.instances import ControllerFile, Question, make_instance
 from generator.unrolled.general import general_graph
@@ -211,7 +211,7 @@ def parsed() -> Iterator[dict[str, Any]]:
     for category in ("open_loop", "unrolled"):
         files = sorted((ROOT / "vnnlib" / category / "2.0").glob("*.vnnlib.gz"))
         for path in files:
-            vnnlib.parse_query_string(gzip.decompress(path.read_bytes()).decode())
+            vnnlib.parse_query_string(unpacked(path).decode())
         yield {"category": category, "taken": len(files)}
 
 

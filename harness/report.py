@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+from harness.closing import Closing
 from harness.records import Record, RunInfo, Verdict, WitnessCheck, WitnessOutcome
 from harness.scoring import OVERALL, Conflict, Contradiction, Row, Scores
 
@@ -39,7 +39,7 @@ def _console(stderr: bool = False) -> Console:
     return Console(stderr=stderr, width=None if stream.isatty() else _WIDE, highlight=False)
 
 
-class ProgressBar:
+class ProgressBar(Closing):
     """A progress bar on standard error; nothing where that is no terminal or ``quiet``.
 
     total, completed: instances in all, and those that an earlier run did.
@@ -90,12 +90,8 @@ class ProgressBar:
             self._bar.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Take it away."""
         if self._bar is not None:
             self._bar.stop()
 
