@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from flint import arb
 
+from checker.batch import Batch
 from checker.files import Certificate, GuardKind, Instance, Kind, Rejected, Row, Unreadable, require
 from checker.forest import WIDER, Assumed, Forest
 from checker.inclusion import (
@@ -32,7 +33,7 @@ from checker.models import (
     restrict,
     symbols,
 )
-from checker.step import Network, Path, Sensors, View, steering
+from checker.step import Network, Path, Sensors, View, scans, steering
 
 #: The domain of a row whose step cannot be proved at once is halved at most so often.
 _DIVIDED = 4
@@ -46,6 +47,7 @@ class Checker:
             self.plant, self.unsafe = instance.data["plant"], instance.data["property"]["unsafe"]
             self.frames = self.plant["frames"]
             self.sensors, self.network = Sensors(instance.data), Network(instance.layers)
+            self._batch = Batch(instance.layers)
             self.forest = Forest(cert, instance)
             self._check_instance()
         except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -79,18 +81,33 @@ class Checker:
         """Prove what takes little time: the rules that concern rows together."""
         self.forest.check()
 
-    def check_row(self, i: int) -> None:
-        """Prove that what follows a row contains all that may become of it, safely."""
+    def check_rows(self, indices: list[int]) -> None:
+        """Prove that what follows each of some rows contains all that may become of it, safely."""
+        ahead = self._answers([i for i in indices if self._drives(i)])
+        for i in indices:
+            self.check_row(i, ahead.get(i))
+
+    def check_row(self, i: int, answers: list[Model] | None = None) -> None:
+        """Prove that what follows a row contains all that may become of it, safely.
+
+        answers: of the network to the row's scans, if they are known.
+        """
         row, children = self.rows[i], self.forest.children[i]
         try:
             if row.into >= 0:
                 prove_gathered(models_of(row, apart=True), self.rows[row.into])
-            elif children and self.rows[children[0]].kind == Kind.IMAGE:
-                self._check_step(i, self.rows[children[0]])
+            elif self._drives(i):
+                self._check_step(i, self.rows[children[0]], answers)
             elif children:
                 self._check_parts(row, [self.rows[c] for c in children])
         except (Rejected, ArithmeticError, ValueError) as error:  # whatever is not proved
             raise Rejected(f"row {i}: {error}") from None
+
+    def _drives(self, i: int) -> bool:
+        """Tell whether a row has an image."""
+        children = self.forest.children[i]
+        image = bool(children) and self.rows[children[0]].kind == Kind.IMAGE
+        return image and self.rows[i].into < 0
 
     # --- parts -----------------------------------------------------------------------------
 
@@ -153,15 +170,48 @@ class Checker:
         gathered = self.rows[assumed.origin].kind == Kind.GATHERED
         return gathered and all(map(self.settled, self.forest.sources[assumed.origin]))
 
-    def _check_step(self, i: int, image: Row) -> None:
+    def _scans(self, row: Row, state: list[Model], assumed: Assumed) -> list[list[Model]]:
+        """Return what the network may read on a part of a row."""
+        case = self.forest.missing[row.case].nonzero()[0].tolist()
+        active = self.sensors.active(state, assumed.turn) if case else (False, True)
+        return scans(self.sensors, self._view(row, state, assumed), case, active)
+
+    def _answers(self, indices: list[int]) -> dict[int, list[Model]]:
+        """Return the network's answers to the scans of rows, of those for which it has bounds."""
+        asked: list[tuple[int, list[Model]]] = []
+        for i in indices:
+            row = self.rows[i]
+            try:
+                found = self._scans(row, state_of(row), self.forest.assumptions(i))
+            except (Rejected, ArithmeticError, ValueError):
+                continue  # nor is it proved at once
+            asked += [(i, scan) for scan in found]
+        out: dict[int, list[Model]] = {i: [] for i, _ in asked}
+        answers = self._batch.steering([scan for _, scan in asked])
+        for (i, _), answer in zip(asked, answers, strict=True):
+            if answer is None:
+                out.pop(i, None)
+            elif i in out:
+                out[i].append(answer)
+        return out
+
+    def _check_step(self, i: int, image: Row, answers: list[Model] | None) -> None:
         """Prove clearance and image of one period."""
         row, assumed = self.rows[i], self.forest.assumptions(i)
         require(self.settled(i), "it may have to change its frame before it drives")
+        if answers:
+            try:
+                self._check_period(row, state_of(row), answers, image, ())
+            except (Rejected, ArithmeticError):
+                pass  # as far as doubles tell
+            else:
+                return
         todo: list[tuple[Cuts, list[Model]]] = [((), state_of(row))]
         while todo:
             cuts, state = todo.pop()
             try:
-                self._check_period(row, state, assumed, image, cuts)
+                read = self._scans(row, state, assumed)
+                self._check_period(row, state, list(map(self.network.steering, read)), image, cuts)
             except (Rejected, ArithmeticError):
                 if len(cuts) == _DIVIDED:
                     raise
@@ -170,13 +220,10 @@ class Checker:
                     todo.append(((*cuts, cut), restricted(state, (cut,))))
 
     def _check_period(
-        self, row: Row, state: list[Model], assumed: Assumed, image: Row, cuts: Cuts
+        self, row: Row, state: list[Model], answers: list[Model], image: Row, cuts: Cuts
     ) -> None:
-        """Prove clearance and image of a part of a row."""
-        case = self.forest.missing[row.case].nonzero()[0].tolist()
-        active = self.sensors.active(state, assumed.turn) if case else (False, True)
-        view = self._view(row, state, assumed)
-        path = Path(self.plant, state, steering(self.network, self.sensors, view, case, active))
+        """Prove clearance and image of a part of a row, from the network's answers to its scans."""
+        path = Path(self.plant, state, steering(answers, symbols(state[0])))
         for polygon in self.unsafe[row.frame]:
             path.clear(polygon, self.margin)
         prove_image(path.end, image, self.carried, cuts)

@@ -74,8 +74,7 @@ def _mapped(work: Work, chunks: list[list[int]], jobs: int) -> Iterator[tuple[in
 
 def _check_rows(checker: Checker, rows: list[int]) -> tuple[int, str]:
     try:
-        for i in rows:
-            checker.check_row(i)
+        checker.check_rows(rows)
     except Rejected as error:
         return 0, str(error)
     return len(rows), ""

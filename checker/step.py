@@ -100,13 +100,13 @@ def gathered(z: Model, m: int) -> Model:
     return [*p, *a[:m], last, *b[:m], ZERO, ZERO]
 
 
-def steering(
-    network: Network, sensors: Sensors, view: View, case: list[int], active: tuple[bool, bool]
-) -> Model:
-    """Return the steering of a row for every disturbance that its case allows.
+def scans(
+    sensors: Sensors, view: View, case: list[int], active: tuple[bool, bool]
+) -> list[list[Model]]:
+    """Return the readings of a row for each choice of missing rays that its case allows.
 
     case: the rays that are, or (chosen at each step) may be, missing; active: whether they
-    can be missing, and whether they can be there. The answer has one symbol more than the row.
+    can be missing, and whether they can be there.
     """
     gone, there = (case if active[0] else []), active[1] or sensors.each_step
     choices: list[list[int]] = [[]] if there else []
@@ -114,11 +114,19 @@ def steering(
         choices += [gone] if gone or not there else []
     else:
         choices += [list(c) for k in range(sensors.missing) for c in combinations(gone, k + 1)]
-    first, *others = (network.steering(sensors.readings(view, choice)) for choice in choices)
+    return [sensors.readings(view, choice) for choice in choices]
+
+
+def steering(answers: list[Model], m: int) -> Model:
+    """Return the steering of a row of m symbols from the network's answers to all its scans.
+
+    It has one symbol more than the row.
+    """
+    first, *others = answers
     stray = ZERO
     for other in others:
         stray = stray.union(bound(subtract(other, first)))
-    return gathered(plus(first, stray), view.symbols)
+    return gathered(plus(first, stray), m)
 
 
 class Path:

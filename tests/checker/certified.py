@@ -47,8 +47,7 @@ class Proof:
         try:
             checker = self.checker(cert)
             checker.check_all()
-            for i in range(len(cert)) if rows is None else rows:
-                checker.check_row(i)
+            checker.check_rows(list(range(len(cert)) if rows is None else rows))
         except Rejected as error:
             return str(error)
         return ""

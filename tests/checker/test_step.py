@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from flint import arb
 
+from checker.batch import Batch
 from checker.files import Layer as ReadLayer
 from checker.files import Rejected
 from checker.lidar import Rays, View
 from checker.models import TERMS, UNIT, Model, symbols
-from checker.step import Network, Path, Sensors, steering
+from checker.step import Network, Path, Sensors, scans, steering
 from racecar.bicycle import Bicycle
 from racecar.closed_loop import Plant, State
 from racecar.controller import Controller, Layer
@@ -197,7 +198,8 @@ def clear(path: Path, safety: Property, margin: float) -> bool:
         ("tanh", False, STEP),
     ],
 )
-def test_steps_contain_those_of_the_simulator(activation, slip, fault):
+@pytest.mark.parametrize("doubles", [False, True])
+def test_steps_contain_those_of_the_simulator(activation, slip, fault, doubles):
     car, done = plant(rays=9, slip=slip), 0
     safety = named_property("clearance", car.track)
     for seed in range(25):
@@ -217,9 +219,16 @@ def test_steps_contain_those_of_the_simulator(activation, slip, fault):
         )
         active = sensors.active(state, None) if case else (False, True)
         try:
-            delta = steering(Network(layers), sensors, view, case, active)
+            read = scans(sensors, view, case, active)
+            if doubles:
+                answers = [x for x in Batch(layers).steering(read) if x is not None]
+            else:
+                answers = list(map(Network(layers).steering, read))
         except UNPROVED:
             continue
+        if not answers:
+            continue
+        delta = steering(answers, SYMBOLS)
         path = Path(data["plant"], state, delta)
         for _ in range(10):
             x, e, there = cars.member()

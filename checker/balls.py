@@ -1,0 +1,195 @@
+"""Ball arithmetic on arrays of doubles: fast where Arb's balls, one by one, are slow.
+
+A ball is a middle and a radius, and stands for all real numbers within. NumPy's +, -, *, / round
+to nearest: the result m of one operation is within U |m| (and, if it underflows, 2^-1075) of the
+exact one. Every radius is a sum of a few terms that are not negative; the factor UP and the term
+TINY are more than rounding can take from it. What overflows becomes infinite or NaN, which
+proves nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from flint import arb
+from numpy.typing import NDArray
+
+U = 2.0**-53
+#: More than six roundings of a sum of terms that are not negative.
+UP, DOWN = 1 + 2.0**-50, 1 - 2.0**-50
+TINY = 2.0**-1000
+
+
+class Balls(NamedTuple):
+    """An array of balls: ``middle`` and ``radius`` (>= 0) of one shape."""
+
+    middle: NDArray
+    radius: NDArray
+
+    def at(self, *index: Any) -> Balls:
+        """Return a part of the array."""
+        return Balls(self.middle[index], self.radius[index])
+
+
+def exact(values: NDArray) -> Balls:
+    """Return balls of radius 0."""
+    return Balls(values, np.zeros_like(values))
+
+
+def around(radius: NDArray) -> Balls:
+    """Return balls around 0."""
+    return Balls(np.zeros_like(radius), radius)
+
+
+def from_arb(values: list[arb], shape: tuple[int, ...]) -> Balls:
+    """Return the array of balls that contain given ones."""
+    middle = np.array([float(x.mid()) for x in values]).reshape(shape)
+    radius = np.array([float(x.rad()) for x in values]).reshape(shape)
+    return Balls(middle, (radius + 2 * U * np.abs(middle)) * UP + TINY)
+
+
+def to_arb(balls: Balls) -> list[arb]:
+    """Return the balls of an array of one dimension."""
+    pairs = zip(balls.middle.tolist(), balls.radius.tolist(), strict=True)
+    return [arb(middle, radius) for middle, radius in pairs]
+
+
+def between(low: NDArray, high: NDArray) -> Balls:
+    """Return balls that contain [low, high]."""
+    middle = low / 2 + high / 2
+    return Balls(middle, np.maximum(high - middle, middle - low) * UP + TINY)
+
+
+def lower(x: Balls) -> NDArray:
+    """Return lower bounds."""
+    low = x.middle - x.radius
+    return low - (U * np.abs(low) + TINY)
+
+
+def upper(x: Balls) -> NDArray:
+    """Return upper bounds."""
+    high = x.middle + x.radius
+    return high + (U * np.abs(high) + TINY)
+
+
+def size(x: Balls) -> NDArray:
+    """Return upper bounds of the absolute values."""
+    return (np.abs(x.middle) + x.radius) * UP
+
+
+def add(x: Balls, y: Balls) -> Balls:
+    """Return x + y."""
+    middle = x.middle + y.middle
+    return Balls(middle, (x.radius + y.radius + U * np.abs(middle)) * UP + TINY)
+
+
+def subtract(x: Balls, y: Balls) -> Balls:
+    """Return x - y."""
+    return add(x, Balls(-y.middle, y.radius))
+
+
+def multiply(x: Balls, y: Balls) -> Balls:
+    """Return x y."""
+    middle = x.middle * y.middle
+    radius = np.abs(x.middle) * y.radius + x.radius * (np.abs(y.middle) + y.radius)
+    return Balls(middle, (radius + U * np.abs(middle)) * UP + TINY)
+
+
+def times(x: Balls, factor: float) -> Balls:
+    """Return the multiple by a number."""
+    middle = x.middle * factor
+    return Balls(middle, (x.radius * abs(factor) + U * np.abs(middle)) * UP + TINY)
+
+
+def over(x: Balls, number: float) -> Balls:
+    """Return the quotient by a number of ordinary size."""
+    middle = x.middle / number
+    return Balls(middle, (x.radius / abs(number) + U * np.abs(middle)) * UP + TINY)
+
+
+def divide(x: Balls, y: Balls) -> Balls:
+    """Return x / y, y of ordinary size; infinite or NaN where y may be 0.
+
+    With the rounded quotient m, x / y - m = (x - m y) / y, and of the middles the numerator is
+    at most U |m y|.
+    """
+    middle = x.middle / y.middle
+    off = x.radius + np.abs(middle) * (y.radius + 2 * U * np.abs(y.middle)) + TINY
+    least = (np.abs(y.middle) - y.radius) * DOWN - TINY
+    return Balls(middle, np.where(least > 0, off / least * UP * UP, np.inf) + TINY)
+
+
+def total(x: Balls) -> Balls:
+    """Return sums along the last axis."""
+    n = x.middle.shape[-1]
+    middle = x.middle.sum(-1)
+    radius = (x.radius + n * U * UP * np.abs(x.middle)).sum(-1)
+    return Balls(middle, radius * (1 + n * U) * UP + TINY)
+
+
+def product(matrix: NDArray, x: Balls) -> Balls:
+    """Return matrix @ x, for a matrix of doubles and x of shape (..., columns, k).
+
+    A sum of n products in any order, fused or not, is off by at most n U / (1 - n U) times the
+    sum of the absolute values, and by n 2^-1075 where products underflow.
+    """
+    n = matrix.shape[1]
+    share = (n + 2) * U * (1 + 2.0**-20)
+    middle = matrix @ x.middle
+    radius = np.abs(matrix) @ (x.radius + share * np.abs(x.middle))
+    return Balls(middle, radius * (1 + 2 * share) + TINY)
+
+
+def hull(x: Balls, y: Balls) -> Balls:
+    """Return balls that contain both."""
+    low = np.minimum(lower(x), lower(y))
+    return between(low, np.maximum(upper(x), upper(y)))
+
+
+def clip(x: Balls, low: float, high: float) -> Balls:
+    """Return balls that contain what of x is in [low, high]; only what is there is meant."""
+    return between(np.clip(lower(x), low, high), np.clip(upper(x), low, high))
+
+
+# --- tanh -----------------------------------------------------------------------------------
+
+_STEPS = 32  # places of the table in a unit
+_END = 20  # beyond, tanh differs from its sign by less than 1e-17
+_TABLE = from_arb(
+    [(arb(k) / _STEPS).tanh() for k in range(-_END * _STEPS, _END * _STEPS + 1)], (-1,)
+)
+#: tanh t = t - t^3/3 + 2 t^5/15 - 17 t^7/315 + ..., |t| <= 1/2: 62 t^9/2835, the
+#: next term, bounds what is cut off.
+_SERIES = from_arb([arb(1), arb(-1) / 3, arb(2) / 15, arb(-17) / 315], (-1,))
+_NEXT = 0.0219
+
+
+def tanh(x: NDArray) -> Balls:
+    """Return balls with the hyperbolic tangents of doubles.
+
+    tanh(c + t) = (tanh c + tanh t) / (1 + tanh c tanh t) with the nearest c of a table.
+    """
+    inside = np.clip(np.where(np.isfinite(x), x, 0.0), -_END, _END)
+    place = np.rint(inside * _STEPS).astype(int)
+    t = subtract(exact(inside), exact(place / _STEPS))
+    square = multiply(t, t)
+    series = _SERIES.at(3)
+    for k in (2, 1, 0):
+        series = add(multiply(series, square), _SERIES.at(k))
+    series = multiply(series, t)
+    most = size(t)
+    cube = most * most * most
+    cut = cube * cube * cube * _NEXT + TINY
+    small = Balls(series.middle, (series.radius + cut) * UP)
+    near = _TABLE.at(place + _END * _STEPS)
+    one = exact(np.ones_like(inside))
+    found = divide(add(near, small), add(one, multiply(near, small)))
+    beyond = np.abs(x) > _END
+    radius = np.where(np.isnan(x), np.inf, np.where(beyond, 1e-16, found.radius))
+    return Balls(np.where(beyond, np.sign(x), found.middle), radius)
+
+
+def tanh_between(x: Balls) -> Balls:
+    """Return balls with the hyperbolic tangents of all that is in balls."""
+    return hull(tanh(lower(x)), tanh(upper(x)))

@@ -1,0 +1,99 @@
+"""The network on many rows at once, in doubles: against exact members, and against Arb."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from flint import arb
+from hypothesis import given
+from hypothesis import strategies as st
+from test_arithmetic import filled, member, places, some
+
+from checker.batch import Batch
+from checker.files import Layer
+from checker.models import KNOWN, ONE, symbols
+from checker.step import Network
+
+SEEDS = st.integers(0, 2**32)
+SIZES = st.sampled_from([1.0, 0.1, 1e-3, 1e-9, 0.0])
+SYMBOLS = st.sampled_from([2, KNOWN + 2])
+VALUES = {
+    "Tanh": lambda y: y.tanh(),
+    "Sigmoid": lambda y: 1 / (1 + (-y).exp()),
+    "Relu": lambda y: y.max(arb(0)),
+    "": lambda y: y,
+}
+
+
+def layers(random: np.random.Generator, kind: str, widths: list[int]) -> list[Layer]:
+    """Return random layers, the last one of tanh."""
+    out = []
+    for inside, outside in itertools.pairwise(widths):
+        weights = random.normal(size=(outside, inside)) / inside**0.5 * random.uniform(0.5, 3)
+        biases = random.normal(size=outside) * 0.5
+        out.append(Layer(weights.astype(np.float32), biases.astype(np.float32), kind))
+    return out
+
+
+def answer(network: list[Layer], scan: list[arb]) -> arb:
+    """Return the exact output for numbers."""
+    values = scan
+    for layer in network:
+        rows, biases = layer.weights.tolist(), layer.biases.tolist()
+        sums = [
+            sum((arb(w) * v for w, v in zip(row, values, strict=True)), arb(b))
+            for row, b in zip(rows, biases, strict=True)
+        ]
+        values = [VALUES[layer.activation](y) for y in sums]
+    return values[0]
+
+
+@pytest.mark.parametrize("kind", VALUES)
+@given(SEEDS, SIZES, SYMBOLS)
+def test_answers_contain_those_of_all_members(kind, seed, size, count):
+    random = np.random.default_rng(seed)
+    network = [*layers(random, kind, [4, 6, 5]), *layers(random, "Tanh", [5, 1])]
+    scan = [some(random, 2.0, size, count) for _ in range(4)]
+    (found,) = Batch(network).steering([scan])
+    assert found is not None
+    for x, e, rest in places(random, count):
+        exact = answer(network, [member(z, x, e, rest) for z in scan])
+        assert filled(found, exact, x, e) <= 1
+
+
+@pytest.mark.parametrize("kind", ["Tanh", "Relu", "Sigmoid"])
+@given(SEEDS, SIZES, SYMBOLS)
+def test_answers_are_hardly_wider_than_those_of_arb(kind, seed, size, count):
+    random = np.random.default_rng(seed)
+    network = [*layers(random, kind, [4, 6, 5]), *layers(random, "Tanh", [5, 1])]
+    scan = [some(random, 2.0, size, count) for _ in range(4)]
+    try:
+        slow = Network(network).steering(scan)
+    except ArithmeticError:
+        return
+    (found,) = Batch(network).steering([scan])
+    assert found is not None
+    assert symbols(found) == symbols(slow)
+    assert float(found[-1].rad()) <= 1.05 * float(slow[-1].rad()) + 1e-12
+
+
+@given(SEEDS, st.integers(1, 70))
+def test_each_scan_gets_its_own_answer(seed, count):
+    random = np.random.default_rng(seed)
+    network = layers(random, "Tanh", [3, 4, 1])
+    scans = [[some(random, 2.0, 0.01) for _ in range(3)] for _ in range(count)]
+    together = Batch(network).steering(scans)
+    for k in {0, count // 2, count - 1}:
+        (alone,) = Batch(network).steering([scans[k]])
+        assert alone is not None
+        pairs = zip(alone, together[k], strict=True)
+        assert all(abs(float((x - y).mid())) <= 1e-12 for x, y in pairs)
+
+
+def test_what_overflows_has_no_answer():
+    huge = Layer(np.full((1, 1), 3e38, np.float32), np.zeros(1, np.float32), "")
+    scan = [some(np.random.default_rng(0), 2.0, 1.0)]
+    scan[0][1] = ONE * 1e300
+    assert Batch([huge, huge]).steering([scan]) == [None]
