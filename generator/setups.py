@@ -3,8 +3,8 @@
 ``TD3_L21_64x64_C1`` is the paper's form: algorithm, LiDAR rays, neurons per hidden layer,
 index of the controller (the first, second, ... seed that finished the turn). Beyond the paper,
 ``64x64relu`` has ReLU instead of tanh in its hidden layers, and ``conv`` reads the scan with
-convolutions, whose sizes its hyper-parameter file says. ROBUST and SMOOTH are not reinforcement
-learning: they learn from a teacher (generator.robust).
+convolutions, whose sizes its hyper-parameter file says. EARLY is TD3 that was stopped early. ROBUST
+and SMOOTH are not reinforcement learning: they learn from a teacher (generator.robust).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from racecar.errors import BadInput
 from racecar.experiment import default_field_of_view
 
 PAPER_RAYS = (21, 41, 61)
-ALGORITHMS = ("DDPG", "TD3", *STUDENTS)
+ALGORITHMS = ("DDPG", "TD3", "EARLY", *STUDENTS)
 _NAME = re.compile(
     r"(?P<algorithm>[A-Z0-9]+)_L(?P<rays>\d+)_"
     r"(conv|(?P<hidden>\d+(x\d+)*)(?P<relu>relu)?)_C(?P<index>\d+)"

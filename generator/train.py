@@ -33,6 +33,7 @@ from racecar.controller import Controller
 from racecar.layers import Convolution
 
 CHUNK = 5000
+_LEARNERS = {"TD3": TD3, "DDPG": DDPG, "EARLY": TD3}
 _ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
 LIBRARIES = ("stable-baselines3", "torch", "gymnasium", "numpy")
 #: How far (rad) the exported network may stray from the torch actor: float32 rounding.
@@ -141,7 +142,7 @@ def _make_model(setup: Setup, parameters: Hyperparameters, seed: int) -> TD3:
         exclude={"env_kwargs", "n_timesteps", "policy_kwargs", "learning_rate", "action_noise_std"},
     )
     kinds = parameters.policy_kwargs
-    model = {"TD3": TD3, "DDPG": DDPG}[setup.algorithm](
+    model = _LEARNERS[setup.algorithm](
         RacecarPolicy,
         env,
         # A function of the steps done: SB3's own progress is relative to one chunk.

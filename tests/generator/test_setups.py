@@ -11,7 +11,8 @@ from racecar.errors import BadInput
 @pytest.mark.parametrize(
     "name",
     ["TD3_L21_64x64_C1", "DDPG_L1081_128x128_C12", "TD3_L5_8_C1",
-     "TD3_L21_64x64x64x64_C1", "TD3_L21_128x128relu_C2", "TD3_L1081_conv_C1"],
+     "TD3_L21_64x64x64x64_C1", "TD3_L21_128x128relu_C2", "TD3_L1081_conv_C1",
+     "EARLY_L21_64x64_C2"],
 )  # fmt: skip
 def test_names_read_and_print_alike(name):
     setup = parse_setup(name)
@@ -71,6 +72,8 @@ def test_each_kind_of_network_has_its_hyperparameters(tmp_path):
     assert said("TD3_L21_64x64relu_C1").policy_kwargs.activation == "relu"
     for rays in (121, 271, 1081):
         assert said(f"TD3_L{rays}_64x64_C1").policy_kwargs.critic_rays == 121
+    early, whole = said("EARLY_L21_64x64_C1"), said("TD3_L21_64x64_C1")
+    assert early.n_timesteps < whole.n_timesteps / 2
     with pytest.raises(BadInput, match=r"ddpg_relu\.yml do not exist; write a file"):
         said("DDPG_L21_64x64relu_C1")
     convolutional = said("TD3_L1081_conv_C1").policy_kwargs
