@@ -128,7 +128,7 @@ def test_a_broken_table_is_refused_and_stays(root):
     path = root / "benchmarks" / "controllers.csv"
     assert run(root, "--runs", 50, "--write").exit_code == 0
     lines = path.read_text().splitlines()
-    for broken in ("<<<<<<<", lines[2].replace(",50,", ",5,"), lines[2].replace(",50,", ",x,")):
+    for broken in ("<<<<<<<", lines[2].replace(",50,", ",-1,"), lines[2].replace(",50,", ",x,")):
         text = "\n".join([*lines[:2], broken, ""])
         path.write_text(text)
         result = run(root, "--write")
