@@ -81,8 +81,18 @@ class ControllerFile:
 
     @property
     def weights(self) -> int:
-        """How many weights its layers have, biases left out."""
+        """How many weights its layers have, biases left out; a convolution counts as its matrix."""
         return sum(layer.weights.size for layer in self.controller.layers)
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers the file holds for its layers: weights or kernels, and biases."""
+        return sum(
+            layer.weights.size + layer.biases.size
+            if (own := layer.convolution) is None
+            else own.kernels.size + own.biases.size
+            for layer in self.controller.layers
+        )
 
     @property
     def further_seed(self) -> bool:

@@ -10,16 +10,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
+from generator import controllers_table
 from generator.instances import ControllerFile
 from generator.piece import FOLDER
-from generator.published import load_published, published_names
-from generator.record import ControllerRecord
+from generator.reference.rows import REFERENCE, Row, read_rows
 from racecar.errors import BadInput
 from racecar.instance import read_text
 
 DECIDED = ("sat", "unsat")
-#: Columns of reference.csv that are read here; all but the first two may be empty.
-COLUMNS = ("instance", "verdict", "margin_lower", "margin_upper", "time_s")
 
 
 @dataclass(frozen=True)
@@ -73,10 +71,13 @@ class CategoryFacts:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Everything that the card tells. records: of the controllers, by name."""
+    """Everything that the card tells.
+
+    table: a row for each of the controllers; networks: what they take with their records (bytes).
+    """
 
     controllers: tuple[ControllerFile, ...]
-    records: dict[str, ControllerRecord]
+    table: tuple[controllers_table.Row, ...]
     categories: tuple[CategoryFacts, ...]
     networks: int
 
@@ -95,20 +96,21 @@ def read_dataset(root: Path, order: Sequence[str]) -> Dataset:
 
     Raises BadInput if nothing is emitted there, or a table is broken.
     """
-    published = [load_published(root, name) for name in published_names(root)]
     names = {path.parent.name for path in (root / FOLDER).glob("*/instances.csv")}
     if not names:
         raise BadInput(f"{root / FOLDER}: no category is there; run `generator emit` first")
+    published = controllers_table.load_all(root)
+    table = tuple(controllers_table.read_table(root, published))
     listed = [name for name in order if name in names] + sorted(names - set(order))
     categories = tuple(_category(root, name) for name in listed)
     networks = _bytes(path for path in (root / "onnx").iterdir() if path.is_file())
     files = tuple(file for file, _ in published)
-    return Dataset(files, {file.name: record for file, record in published}, categories, networks)
+    return Dataset(files, table, categories, networks)
 
 
 def _category(root: Path, name: str) -> CategoryFacts:
     folder = root / FOLDER / name
-    results = read_results(folder / "reference.csv")
+    results = {id: _known(row) for id, row in read_rows(folder).items()}
     asked = []
     table = folder / "instances.csv"
     for row in csv.reader(read_text(table).decode().splitlines()):
@@ -121,34 +123,16 @@ def _category(root: Path, name: str) -> CategoryFacts:
     strange = sorted(set(results) - {instance.id for instance in asked})
     if strange:
         raise BadInput(
-            f"{folder / 'reference.csv'}: {strange[0]} is no instance of {name}; "
+            f"{folder / REFERENCE}: {strange[0]} is no instance of {name}; "
             "run `generator reference` again"
         )
     folders = (folder, root / "vnnlib" / name, root / "onnx" / name)
     return CategoryFacts(name, tuple(asked), _bytes(p for f in folders for p in _emitted(f)))
 
 
-def read_results(table: Path) -> dict[str, Known]:
-    """Return the reference results of a category by instance; none if the table is missing."""
-    if not table.exists():
-        return {}
-    rows = csv.DictReader(read_text(table).decode().splitlines())
-    missing = [name for name in COLUMNS if name not in (rows.fieldnames or ())]
-    if missing:
-        raise BadInput(f"{table}: the header has no column {', '.join(missing)}; make it anew")
-    results = {}
-    for row in rows:
-        try:
-            numbers = [float(row[name]) if row[name] else None for name in COLUMNS[2:]]
-        except (TypeError, ValueError):
-            raise BadInput(f"{table}, line {rows.line_num}: a number is not one") from None
-        if row["verdict"] not in (*DECIDED, "unknown"):
-            raise BadInput(
-                f"{table}, line {rows.line_num}: verdict is {row['verdict']!r}; "
-                "it must be sat, unsat or unknown"
-            )
-        results[row["instance"]] = Known(row["verdict"], *numbers)
-    return results
+def _known(row: Row) -> Known:
+    numbers = (float(text) if text else None for text in (row.margin_lower, row.margin_upper))
+    return Known(row.verdict, *numbers, float(row.time_s) if row.time_s else None)
 
 
 def _width(spec: Path) -> float:

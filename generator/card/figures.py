@@ -137,13 +137,13 @@ def _known_margins(dataset: Dataset) -> dict[str, dict[str, list[float]]]:
 
 def _times(dataset: Dataset) -> list[dict[str, Any]]:
     """Return what is drawn of every instance that has a reference result with a time."""
-    sizes = {file.name: (file.controller.rays, file.weights) for file in dataset.controllers}
+    sizes = {file.name: (file.controller.rays, file.parameters) for file in dataset.controllers}
     return [
         {
             "verdict": asked.known.verdict,
             "seconds": round(asked.known.seconds, 3),
             "rays": sizes[asked.controller][0],
-            "weights": sizes[asked.controller][1],
+            "parameters": sizes[asked.controller][1],
             "width": None if math.isnan(asked.width) else asked.width,
         }
         for category in dataset.categories
@@ -222,7 +222,7 @@ def _draw_difficulty(rows: list[dict[str, Any]]) -> Figure:
     panels = figure.subplots(1, 3, sharey=True)
     about = (
         ("rays", "LiDAR rays", 1),
-        ("weights", "weights of the network", 1),
+        ("parameters", "parameters of the network", 1),
         ("width", "width of the start range (mm)", 1000),
     )
     for axes, (key, label, scale) in zip(panels, about, strict=True):

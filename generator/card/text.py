@@ -15,6 +15,7 @@ import jinja2
 from generator.card.claims import claims
 from generator.card.facts import CategoryFacts, Dataset
 from generator.categories import CATEGORIES
+from generator.controllers_table import Row
 from generator.hybrid.part import Packing
 from generator.instances import ControllerFile
 from racecar.instance import read_text
@@ -57,7 +58,11 @@ def card_text(root: Path, dataset: Dataset, figures: Sequence[str]) -> str:
         version=version("closedlap"),
         formats={category.name: _formats(category.name) for category in dataset.categories},
         timeouts={category.name: _timeouts(category) for category in dataset.categories},
-        controllers=[_controller(dataset, file) for file in dataset.controllers],
+        controllers=[
+            _controller(file, row)
+            for file, row in zip(dataset.controllers, dataset.table, strict=True)
+        ],
+        drives=_drives(dataset.table),
         counts=counts,
         tallies=[_tally(category) for category in dataset.categories if category.results],
         unknown=[category.name for category in dataset.categories if not category.results],
@@ -82,20 +87,37 @@ def _timeouts(category: CategoryFacts) -> str:
     return f"{seconds[0]}" if len(seconds) == 1 else f"{seconds[0]} to {seconds[-1]}"
 
 
-def _controller(dataset: Dataset, file: ControllerFile) -> dict[str, Any]:
-    record = dataset.records[file.name]
-    hidden = [layer for layer in file.controller.layers if len(layer.biases) > 1]
+def _drives(table: Sequence[Row]) -> str:
+    """Return how many runs under the paper's faults are behind a row of the table."""
+    counts = sorted({row.paper_runs for row in table})
+    return " or ".join(f"{count:,}" for count in counts)
+
+
+def _controller(file: ControllerFile, row: Row) -> dict[str, Any]:
+    low, high = row.paper_safe_interval
     return {
         "name": file.name,
-        "rays": file.controller.rays,
-        "layers": "x".join(str(len(layer.biases)) for layer in hidden),
-        "activation": "/".join(dict.fromkeys(layer.activation for layer in hidden)),
-        "weights": file.weights,
-        "seed": record.seed,
-        "tried": len(record.tried),
-        "label": record.label,
-        "margin": record.nominal.margin,
+        "rays": row.rays,
+        "network": _network(file),
+        "parameters": file.parameters,
+        "seeds": row.seeds(),
+        "reward": "" if row.training_return is None else f"{row.training_return:.0f}",
+        "minutes": f"{row.minutes:.0f}",
+        "margin": f"{row.nominal_margin:.4f}",
+        "smoothness": f"{1000 * row.smoothness:.1f}",
+        "safe": f"{100 * row.paper_safe_fraction:.2f} ({100 * low:.2f} to {100 * high:.2f})",
     }
+
+
+def _network(file: ControllerFile) -> str:
+    """Return its hidden layers, such as ``64x64 tanh`` or ``conv 4, conv 8, 64 tanh``."""
+    hidden = [layer for layer in file.controller.layers if len(layer.biases) > 1]
+    convolved = [x.convolution for x in hidden if x.convolution is not None]
+    dense = "x".join(str(len(x.biases)) for x in hidden if x.convolution is None)
+    parts = [*(f"conv {len(x.biases)}" for x in convolved), *([dense] if dense else [])]
+    names = {"relu": "ReLU"}
+    activations = dict.fromkeys(names.get(x.activation, x.activation) for x in hidden)
+    return f"{', '.join(parts)} {'/'.join(activations)}"
 
 
 def _tally(category: CategoryFacts) -> _Tally:

@@ -6,6 +6,7 @@ import csv
 import hashlib
 import io
 import json
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -14,6 +15,10 @@ from racecar.controller import write_whole
 from racecar.errors import BadInput
 
 REFERENCE, WITNESSES = "reference.csv", "reference_witnesses.jsonl"
+VERDICTS = ("sat", "unsat", "unknown")
+NUMBERS = ("margin_lower", "margin_upper", "time_s", "check_s")
+#: What mends a broken table.
+_ADVICE = "restore the file, or remove it and run `generator reference`"
 
 
 @dataclass(frozen=True)
@@ -54,15 +59,35 @@ def read_rows(folder: Path) -> dict[str, Row]:
     except FileNotFoundError:
         return {}
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise BadInput(f"{file}: cannot be read ({error})") from None
+        raise BadInput(f"{file}: cannot be read ({error}); {_ADVICE}") from None
     if not lines or tuple(lines[0]) != COLUMNS:
-        raise BadInput(f"{file}, line 1: the header must be {','.join(COLUMNS)}")
+        raise BadInput(f"{file}, line 1: the header must be {','.join(COLUMNS)}; {_ADVICE}")
+    rows: dict[str, Row] = {}
     for number, line in enumerate(lines[1:], 2):
         if len(line) != len(COLUMNS):
-            raise BadInput(
-                f"{file}, line {number}: {len(line)} columns, but the header has {len(COLUMNS)}"
-            )
-    return {line[0]: Row(*line) for line in lines[1:]}
+            fault = f"{len(line)} columns, but the header has {len(COLUMNS)}"
+        elif line[0] in rows:
+            fault = f"a second row of {line[0]}"
+        else:
+            rows[line[0]] = Row(*line)
+            fault = _fault(rows[line[0]])
+        if fault:
+            raise BadInput(f"{file}, line {number}: {fault}; {_ADVICE}")
+    return rows
+
+
+def _fault(row: Row) -> str:
+    """Return what is wrong with a row's verdict or numbers; nothing if they are right."""
+    if row.verdict not in VERDICTS:
+        return f"verdict is {row.verdict!r}, not one of {', '.join(VERDICTS)}"
+    for name in NUMBERS:
+        text = getattr(row, name)
+        try:
+            if text and not math.isfinite(float(text)):
+                raise ValueError
+        except ValueError:
+            return f"{name} is {text!r}, not a number"
+    return ""
 
 
 def read_witnesses(folder: Path) -> dict[str, str]:

@@ -4,13 +4,17 @@ import math
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from generator.actor import fold
+from generator.cli import main
 from generator.hyperparams import load_hyperparameters
 from generator.nominal import drive_nominal
 from generator.record import ControllerRecord, Tried, save_record
 from generator.seeds import file_sha256
 from racecar.controller import save_controller
+
+CURVE = "timesteps,episode_return,seconds\n5000,100.5,30.0\n10000,900.25,45.0\n"
 
 
 def _make(rays=5, seed=0):
@@ -26,7 +30,7 @@ def _make(rays=5, seed=0):
 
 
 def _add(root, name="TD3_L5_8_C1", rays=5, seed=0):
-    """Put a controller and its record into ROOT/onnx; return the controller's file."""
+    """Put a controller, its record and curve into ROOT/onnx; return the controller's file."""
     controller = _make(rays, seed)
     path = root / "onnx" / f"{name}.onnx"
     save_controller(controller, path)
@@ -45,6 +49,7 @@ def _add(root, name="TD3_L5_8_C1", rays=5, seed=0):
         tried=[Tried(seed=1, finishes_turn=nominal.finishes_turn, safe_fraction=0.0)],
     )
     save_record(record, path.with_suffix(".json"))
+    path.with_suffix(".curve.csv").write_text(CURVE)
     return path
 
 
@@ -56,5 +61,14 @@ def make_controller():
 
 @pytest.fixture(scope="session")
 def add_controller():
-    """add_controller(root, name, rays, seed) makes one with its record in ROOT/onnx."""
+    """add_controller(root, name, rays, seed) makes one with its record and curve in ROOT/onnx."""
     return _add
+
+
+@pytest.fixture(scope="session")
+def emitted(tmp_path_factory):
+    """A root with one controller and everything that is emitted of it; not to be changed."""
+    root = tmp_path_factory.mktemp("root")
+    _add(root)
+    assert CliRunner().invoke(main, ["emit", "--root", str(root)]).exit_code == 0
+    return root

@@ -1,11 +1,15 @@
 """The data card says what is in the files, and knows when it no longer does."""
 
 import csv
+import hashlib
 import json
 import math
 import os
+from collections import defaultdict
 from pathlib import Path
 
+import numpy as np
+import onnx
 import pytest
 from click.testing import CliRunner
 
@@ -13,10 +17,26 @@ from generator.card.claims import BOTH, WIDER, claims
 from generator.card.facts import Asked, CategoryFacts, Dataset, Known, read_dataset
 from generator.categories import CATEGORIES
 from generator.cli import main
+from generator.reference.rows import COLUMNS, Row, write_category
+from generator.seeds import file_sha256
+from racecar.controller import Controller, save_controller
+from racecar.layers import Convolution, Layer
 
 CHECKOUT = Path(__file__).parents[2]
-HEAD = "instance,verdict,margin_lower,margin_upper,method,evidence,time_s,versions\n"
+HEAD = ",".join(COLUMNS) + "\n"
 ID = "TD3_L5_8_C1.full_range"
+
+
+def results(root, *rows):
+    """Write reference results of full_range: rest of the ID, verdict, bracket, seconds."""
+    write_category(
+        root / "benchmarks" / "full_range",
+        [
+            Row(f"{ID}.{rest}", verdict, *bracket, "m", f"{ID}.{rest}", "e", time, "", "x")
+            for rest, verdict, *bracket, time in rows
+        ],
+        defaultdict(str),
+    )
 
 
 def run(command, root, *arguments):
@@ -34,10 +54,12 @@ def root(tmp_path, add_controller):
     add_controller(tmp_path)
     names = ["--category", "full_range", "--category", "lap"]
     assert run("emit", tmp_path, *names).exit_code == 0
-    (tmp_path / "benchmarks" / "full_range" / "reference.csv").write_text(
-        f"{HEAD}{ID}.clearance,unsat,0.0123,0.02,taylor,abc,1.5,x\n"
-        f"{ID}.hscc20,sat,,-0.25,search,def,40,x\n"
+    results(
+        tmp_path,
+        ("clearance", "unsat", "0.0123", "0.02", "1.5"),
+        ("hscc20", "sat", "", "-0.25", "40"),
     )
+    assert run("controllers", tmp_path, "--write", "--runs", "40").exit_code == 0
     assert run("card", tmp_path).exit_code == 0
     return tmp_path
 
@@ -62,8 +84,100 @@ def test_the_card_counts_what_is_there(root):
     folder = root / "benchmarks" / "lap"
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     assert held["lap"][4] == f"{size / 1e6:.1f}"
-    assert table(root, "controller")["TD3_L5_8_C1"][:4] == ["5", "8", "tanh", "49"]
-    assert table(root, "controller")["TD3_L5_8_C1"][-2:] == ["2", "6"]
+    assert table(root, "controller | `full_range`")["TD3_L5_8_C1"] == ["2", "6"]
+
+
+def test_the_card_says_how_the_controllers_came_out(root):
+    with (root / "benchmarks" / "controllers.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    # Weights and biases of 8 neurons on 5 rays, of the output, and of the scaling to radians.
+    parameters = 8 * 5 + 8 + 8 + 1 + 2
+    low, high = (f"{100 * float(row[f'paper_safe_{end}']):.2f}" for end in ("low", "high"))
+    safe = f"{100 * int(row['paper_safe']) / 40:.2f} ({low} to {high})"
+    margin, smooth = float(row["nominal_margin"]), float(row["smoothness"])
+    # It drives into the wall, so its only seed has not finished the turn.
+    assert table(root, "controller | rays")["TD3_L5_8_C1"] == [
+        "5", "8 tanh", str(parameters), "(1)", "900", "1", f"{margin:.4f}", f"{1000 * smooth:.1f}",
+        safe,
+    ]  # fmt: skip
+    assert "of 40 runs" in (root / "benchmarks" / "README.md").read_text()
+
+
+def add_conv(root, add_controller):
+    """Add a controller with two convolutions, of a record that says no return."""
+    path = add_controller(root, "TD3_L5_conv_C1")
+    random = np.random.default_rng(0)
+    layers = [
+        Convolution(
+            random.normal(size=shape).astype(np.float32), np.zeros(shape[0], np.float32), 1, length
+        ).layer("tanh")
+        for shape, length in (((3, 1, 3), 5), ((2, 3, 2), 3))
+    ]
+    dense = Layer(np.zeros((1, 4), np.float32), np.zeros(1, np.float32), "tanh")
+    save_controller(Controller((*layers, dense)), path)
+    record = path.with_suffix(".json")
+    data = json.loads(record.read_text()) | {"sha256": file_sha256(path)}
+    record.write_text(json.dumps(data))
+    path.with_suffix(".curve.csv").write_text("rounds,seconds\n5,60.0\n")
+    return path
+
+
+def test_convolutions_count_as_the_file_holds_them(root, add_controller):
+    path = add_conv(root, add_controller)
+    held = sum(
+        math.prod(x.dims)
+        for x in onnx.load(path).graph.initializer
+        if x.data_type == onnx.TensorProto.FLOAT
+    )
+    assert held == 3 * 3 + 3 + 2 * 3 * 2 + 2 + 4 + 1
+    assert run("controllers", root, "--write", "--runs", "40").exit_code == 0
+    assert run("card", root).exit_code == 0
+    cells = table(root, "controller | rays")["TD3_L5_conv_C1"]
+    assert cells[:5] == ["5", "conv 3, conv 2 tanh", str(held), "(1)", ""]
+
+
+def test_a_table_of_other_controllers_is_refused(root, add_controller):
+    path = root / "benchmarks" / "controllers.csv"
+    written = path.read_text()
+
+    def refused(message):
+        result = run("card", root, "--check")
+        assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+        assert result.stderr.startswith(f"error: {path}")
+        assert message in result.stderr
+        assert "generator controllers --write" in result.stderr
+
+    add_controller(root, "TD3_L5_8_C2", seed=1)
+    refused("there is no row of TD3_L5_8_C2")
+    for file in (root / "onnx").glob("*_C2*"):
+        file.unlink()
+    add_controller(root, seed=1)
+    refused("the row of TD3_L5_8_C1 is of another network")
+    add_controller(root)
+    assert run("card", root, "--check").exit_code == 0
+    path.write_text(written.replace("900.25", "950.25"))
+    refused("line 2: not what records and learning curves say")
+    path.write_text(written + "\n".join(written.splitlines()[1:]).replace("C1", "C7") + "\n")
+    refused("line 3: not what records and learning curves say")
+    path.write_text("name,sha256\na,b\n")
+    refused("line 2: no row of the table")
+    path.unlink()
+    refused("there is no row of TD3_L5_8_C1")
+
+
+def test_card_and_emit_agree_about_the_manifest_in_either_order(root):
+    names = ["--category", "full_range", "--category", "lap"]
+    manifest, path = (root / "benchmarks" / x for x in ("manifest.json", "controllers.csv"))
+    assert run("controllers", root, "--write", "--runs", "30").exit_code == 0
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    listed = json.loads(manifest.read_bytes())["files"]["benchmarks/controllers.csv"]
+    assert listed == {"sha256": digest, "size": path.stat().st_size}
+    for order in (("emit", "card"), ("card", "emit")):
+        manifest.unlink()
+        for command in order:
+            assert run(command, root, *(names if command == "emit" else [])).exit_code == 0
+        assert run("emit", root, *names, "--check").exit_code == 0
+        assert run("card", root, "--check").exit_code == 0
 
 
 def test_the_card_says_what_is_known(root):
@@ -92,9 +206,7 @@ def test_a_current_card_stays_as_it_is(root):
 
 
 def test_new_results_make_the_card_and_the_figures_stale(root):
-    (root / "benchmarks" / "full_range" / "reference.csv").write_text(
-        f"{HEAD}{ID}.clearance,unknown,,0.02,taylor,,60,x\n"
-    )
+    results(root, ("clearance", "unknown", "", "0.02", "60"))
     status, found = card(root, "--check")
     assert status == 1
     assert found["differ"] == [
@@ -137,10 +249,12 @@ def test_figures_of_another_matplotlib_are_taken_for_what_they_show(root):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("instance,verdict\n", "the header has no column margin_lower, margin_upper, time_s"),
-        (f"{HEAD}{ID}.clearance,maybe,,,,,1,\n", "line 2: verdict is 'maybe'"),
-        (f"{HEAD}{ID}.clearance,sat,,x,,,1,\n", "line 2: a number is not one"),
-        (f"{HEAD}other,sat,,,,,1,\n", "other is no instance of full_range"),
+        ("instance,verdict\n", "line 1: the header must be instance,verdict,margin_lower"),
+        (f"{HEAD}{ID}.clearance,maybe,,,,,,1,,\n", "line 2: verdict is 'maybe'"),
+        (f"{HEAD}{ID}.clearance,sat,,x,,,,1,,\n", "line 2: margin_upper is 'x', not a number"),
+        (f"{HEAD}{ID}.clearance,sat,,,,,,inf,,\n", "line 2: time_s is 'inf', not a number"),
+        (f"{HEAD}a,sat,,,,,,1,,\na,sat,,,,,,1,,\n", "line 3: a second row of a"),
+        (f"{HEAD}other,sat,,,,,,1,,\n", "other is no instance of full_range"),
     ],
 )
 def test_broken_results_give_one_line_and_change_nothing(root, text, message):
@@ -175,7 +289,7 @@ def dataset(**verdicts):
             for i, verdict in enumerate(every)
         )
         categories.append(CategoryFacts(name, asked, 10))
-    return Dataset((), {}, tuple(categories), 10)
+    return Dataset((), (), tuple(categories), 10)
 
 
 def test_claims_hold_or_not_or_are_not_known():
