@@ -66,9 +66,9 @@ def check_boxes(cert: Certificate, asked: Asked) -> list[list[Case]]:
 
 
 def answered(asked: Asked, lower: Array, upper: Array) -> list[list[Case]]:
-    """Return the cases that each box ``[boxes, inputs]`` answers for, as the smallest around
+    """Return the cases that each box ``[boxes, inputs]`` answers for.
 
-    Rejected if a case is in no box.
+    A case goes to the smallest box that holds its own; Rejected if there is none.
     """
     require(lower.shape[1] == asked.question.inputs, "its boxes have another number of inputs")
     require((lower <= upper).all(), "a box is empty")

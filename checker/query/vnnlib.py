@@ -62,7 +62,8 @@ def read_question(text: str, where: str) -> Question:
         new = bool(forms) and isinstance(forms[0], list) and forms[0][:1] == ["vnnlib-version"]
         names, sizes, assertions = _declared_2(forms) if new else _declared_1(forms)
         alternatives = _alternatives(["and", *(_only(form) for form in assertions)], names)
-        cases = (_case(conditions, sizes["X"]) for conditions in alternatives)
+        read: dict[int, _Part] = {}  # the same condition stands in many alternatives
+        cases = (_case(conditions, sizes["X"], read) for conditions in alternatives)
         found = tuple(case for case in cases if case is not None)
     except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
         raise Unreadable(f"{where}: not a VNN-LIB question that is known here ({error})") from None
@@ -197,32 +198,48 @@ def _times(value: Sum, factor: Fraction) -> Sum:
     return {key: number * factor for key, number in value.items()}
 
 
-def _case(sums: list[Sum], inputs: int) -> Case | None:
+#: A bound (input, whether from above, number), or a condition on outputs, or whether it can hold.
+_Part = tuple[int, bool, Fraction] | Condition | bool
+
+
+def _part(given: Sum) -> _Part:
+    """Return what a sum that is to be at most 0 says; True for what is left out."""
+    constant = given.get(None, Fraction(0))
+    factors = {key: a for key, a in given.items() if key is not None and a != 0}
+    sides = {side for side, _ in factors}
+    if not factors:
+        return constant <= 0
+    if sides == {"Y"}:
+        return Condition(tuple(sorted((i, a) for (_, i), a in factors.items())), -constant)
+    if sides == {"X"} and len(factors) == 1:
+        (((_, i), factor),) = factors.items()
+        return i, factor > 0, -constant / factor
+    return True
+
+
+def _case(sums: list[Sum], inputs: int, read: dict[int, _Part]) -> Case | None:
     """Return what a conjunction allows; None if it is nothing. An input must have two bounds."""
-    lower: list[Fraction | None] = [None] * inputs
-    upper: list[Fraction | None] = [None] * inputs
+    lower: dict[int, Fraction] = {}
+    upper: dict[int, Fraction] = {}
     conditions = []
     for given in sums:
-        constant = given.get(None, Fraction(0))
-        factors = {key: a for key, a in given.items() if key is not None and a != 0}
-        sides = {side for side, _ in factors}
-        if not factors and constant > 0:
-            return None
-        if sides == {"Y"}:
-            named = tuple(sorted((i, a) for (_, i), a in factors.items()))
-            conditions.append(Condition(named, -constant))
-        elif sides == {"X"} and len(factors) == 1:
-            (((_, i), factor),) = factors.items()
-            bound = -constant / factor
-            old = upper[i] if factor > 0 else lower[i]
-            if factor > 0:
-                upper[i] = bound if old is None else min(bound, old)
+        part = read.get(id(given))
+        if part is None:
+            part = read[id(given)] = _part(given)
+        if isinstance(part, Condition):
+            conditions.append(part)
+        elif isinstance(part, bool):
+            if not part:
+                return None
+        else:
+            i, above, bound = part
+            if above:
+                upper[i] = min(bound, upper.get(i, bound))
             else:
-                lower[i] = bound if old is None else max(bound, old)
-    low = [x for x in lower if x is not None]
-    high = [x for x in upper if x is not None]
-    if len(low) < inputs or len(high) < inputs:
+                lower[i] = max(bound, lower.get(i, bound))
+    if not len(lower) == len(upper) == inputs:
         raise ValueError("an input has no bounds")
+    low, high = (tuple(ends[i] for i in range(inputs)) for ends in (lower, upper))
     if any(a > b for a, b in zip(low, high, strict=True)):
         return None
-    return Case(tuple(low), tuple(high), tuple(conditions))
+    return Case(low, high, tuple(conditions))

@@ -51,39 +51,58 @@ def areas(query: Query) -> list[Area]:
         starts[place] = counts[tensor.is_input]
         counts[tensor.is_input] += tensor.size
     found: dict[Bounds, list[list[tuple[Array, float]]]] = {}
+    parts: dict[int, list[_Part]] = {}  # the same comparison stands in many alternatives
     for alternative in _alternatives(And(query.assertions)):
-        bounds, rows = _box_and_rows(alternative, query, starts, sizes)
+        for comparison in alternative:
+            if id(comparison) not in parts:
+                rows_of = _linear(comparison, query, starts, sizes)
+                parts[id(comparison)] = [_part(comparison, row, sizes[0]) for row in rows_of]
+        said = [part for comparison in alternative for part in parts[id(comparison)]]
+        bounds, rows = _box_and_rows(said, sizes[0])
         if bounds is not None:
             found.setdefault(bounds, []).append(rows)
     return [_area(bounds, rows) for bounds, rows in found.items()]
 
 
+#: A bound (input, whether from above, number), a row about outputs, or whether it can hold.
+_Part = tuple[int, bool, Fraction] | tuple[Array, float] | bool
+
+
+def _part(comparison: Comparison, row: list[Fraction], count: int) -> _Part:
+    """Return what a row, ``factors . (inputs, outputs) + constant <= 0``, says."""
+    *factors, constant = row
+    inputs = [i for i, a in enumerate(factors[:count]) if a]
+    outputs = factors[count:]
+    if inputs and (any(outputs) or len(inputs) > 1):
+        raise BadInput(f"line {comparison.line}: it relates inputs; only boxes are known")
+    if any(outputs):
+        return np.array([float(a) for a in outputs]), float(-constant)
+    if inputs:
+        (i,) = inputs
+        return i, factors[i] > 0, -constant / factors[i]
+    return constant <= 0
+
+
 def _box_and_rows(
-    alternative: list[Comparison], query: Query, starts: dict[int, int], sizes: Sequence[int]
+    parts: Sequence[_Part], inputs: int
 ) -> tuple[Bounds | None, list[tuple[Array, float]]]:
     """Return the box of an alternative (None: empty) and its conditions on outputs."""
     lower, upper = dict[int, Fraction](), dict[int, Fraction]()
     rows, possible = [], True
-    for comparison in alternative:
-        for *factors, constant in _linear(comparison, query, starts, sizes):
-            inputs = [i for i, a in enumerate(factors[: sizes[0]]) if a]
-            outputs = factors[sizes[0] :]
-            if inputs and (any(outputs) or len(inputs) > 1):
-                raise BadInput(f"line {comparison.line}: it relates inputs; only boxes are known")
-            if any(outputs):
-                rows.append((np.array([float(a) for a in outputs]), float(-constant)))
-            elif inputs:
-                (i,) = inputs
-                bound = -constant / factors[i]
-                if factors[i] > 0:
-                    upper[i] = min(upper.get(i, bound), bound)
-                else:
-                    lower[i] = max(lower.get(i, bound), bound)
+    for part in parts:
+        if isinstance(part, bool):
+            possible = possible and part
+        elif len(part) == 2:
+            rows.append(part)
+        else:
+            i, above, bound = part
+            if above:
+                upper[i] = min(upper.get(i, bound), bound)
             else:
-                possible = possible and constant <= 0
-    if not (len(lower) == len(upper) == sizes[0]):
+                lower[i] = max(lower.get(i, bound), bound)
+    if not (len(lower) == len(upper) == inputs):
         raise BadInput("an input has no bounds; nothing can be said of it")
-    ends = [(lower[i], upper[i]) for i in range(sizes[0])]
+    ends = [(lower[i], upper[i]) for i in range(inputs)]
     if not possible or any(low > high for low, high in ends):
         return None, []
     return tuple(ends), rows
