@@ -58,8 +58,8 @@ class Graph:
         for k, (low, high) in enumerate(zip(lower, upper, strict=True)):
             try:
                 outputs = self.values(low, high)
-            except ArithmeticError:
-                continue
+            except (ArithmeticError, TypeError, ValueError):
+                continue  # not defined there, or the tensors do not fit together
             for i, row in enumerate(factors):
                 total = models.constant(ZERO, models.symbols(outputs[0]))
                 for output, factor in zip(outputs, row, strict=True):
@@ -140,7 +140,8 @@ def _step(node: onnx.NodeProto, constants: dict[str, NDArray[np.float64]]) -> _S
     kind, sources = node.op_type, list(node.input)
     if kind in ("Gemm", "MatMul"):
         return _affine(node, given, constants)
-    wide = [s for s in sources if s in constants and constants[s].size != _last_axis(constants[s])]
+    given_numbers = [constants[s] for s in sources if s in constants]
+    wide = any(x.ndim > 2 or x.size != _last_axis(x) for x in given_numbers)
     if wide or kind not in _OPERATORS or (given and kind != "Concat"):
         raise ValueError(f"{kind} is not known, or not of such operands")
     if kind == "Concat" and given.get("axis") not in (1, -1):
@@ -273,8 +274,10 @@ def _at_least(z: Model, w: Model) -> bool | None:
 
 def _chosen(condition: bool | None, z: Model, w: Model) -> Model:
     """Return z or w; where it is open which, their mean and half of how far they are apart."""
-    if condition is not None:
+    if isinstance(condition, bool):
         return z if condition else w
+    if condition is not None:
+        raise TypeError("Where is not of a comparison")
     apart = abs(bound(models.subtract(z, w))).upper()
     mean = scale(models.add(z, w), HALF)
     return [*mean[:-1], mean[-1] + apart * HALF * UNIT]

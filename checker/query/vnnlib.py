@@ -18,7 +18,7 @@ from checker.files import Unreadable
 
 #: A question is not read beyond so many cases.
 MOST_CASES = 100_000
-_TOKEN = re.compile(r"[()]|[^\s()\[\]]+(?:[ \t]*\[[^\[\]()]*\])?")
+_TOKEN = re.compile(r"[()]|[^\s()\[\]]+(?:[ \t]*\[[^\[\]()]*\])?|\S")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?")
 _FLAT = re.compile(r"([XY])_(0|[1-9]\d{0,8})")
 _TENSOR = re.compile(r"([^\s\[\]]+)[ \t]*\[([\d, \t]*)\]")
@@ -80,6 +80,8 @@ def _forms(text: str) -> list[Any]:
             open_lists.append(open_lists[-1][-1])
         elif token == ")":
             open_lists.pop()
+        elif token in "[]":
+            raise ValueError("a bracket stands alone")
         else:
             open_lists[-1].append(token)
         if not 0 < len(open_lists) <= _DEEPEST:

@@ -125,6 +125,14 @@ def test_a_quotient_by_what_may_be_zero_is_not_defined():
     assert np.isnan(graph.least(box[0][None], box[1][None], np.array([[1.0]]))).all()
 
 
+def test_where_takes_comparisons_only():
+    content = model([helper.make_node("Where", ["x", "x", "c"], ["t0"])],
+                    [numpy_helper.from_array(np.ones((1, 1), np.float32), "c")],
+                    1, 1, "t0")  # fmt: skip
+    box = np.array([[1.0]]), np.array([[2.0]])
+    assert np.isnan(Graph(content, "graph").least(*box, np.array([[1.0]]))).all()
+
+
 @pytest.mark.parametrize(
     "node",
     [
@@ -134,10 +142,12 @@ def test_a_quotient_by_what_may_be_zero_is_not_defined():
         helper.make_node("Add", ["x", "m"], ["t0"]),
         helper.make_node("Gemm", ["x", "m"], ["t0"], alpha=2.0),
         helper.make_node("Concat", ["x", "x"], ["t0"], axis=0),
+        helper.make_node("Add", ["x", "deep"], ["t0"]),
     ],
 )
 def test_what_is_not_known_is_refused(node):
     constants = [numpy_helper.from_array(np.eye(2, dtype=np.float32), "m")]
+    constants += [numpy_helper.from_array(np.zeros((1, 1, 2), np.float32), "deep")]
     graph = helper.make_graph(
         [node],
         "graph",

@@ -86,6 +86,7 @@ def test_a_strict_condition_is_read_as_not_strict_and_a_difference_as_nothing():
         query_1(1, 1, "(<= X_0 1)", "(>= X_0 0)", "(implies (<= Y_0 0) (<= Y_0 1))"),
         query_1(1, 1, "(<= X_0 1)", "(>= X_0 0)", "(<= Y_1 0)"),
         query_1(1, 1, "(<= X_0 1)") + ")",
+        query_1(1, 1, "(<= X_0 1)", "(>= X_0 0)", "[(<= Y_0 0)"),
         query_1(1, 1, "(<= X_0 1)") + "(assert (<= Y_0 0)",
         query_1(1, 1, "(<= X_0 1e9999)", "(>= X_0 0)"),
     ],
