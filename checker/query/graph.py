@@ -17,11 +17,15 @@ from onnx import numpy_helper
 
 from checker import models
 from checker.files import Unreadable
-from checker.models import BASE, HALF, KNOWN, TERMS, UNIT, ZERO, Model, bound, plus, scale
+from checker.models import BASE, KNOWN, TERMS, ZERO, Model, bound, plus, scale
+from checker.query import elements
+from checker.query.elements import Known
 
 Array = NDArray[np.float64]
 #: A tensor: models, one for each element, or for comparisons True, False or None (not known).
 Values = list[Any]
+#: A box is divided into cases at so many open comparisons, one after the other.
+_DIVIDED = 3
 
 
 class Graph:
@@ -57,41 +61,71 @@ class Graph:
         found = np.full((len(lower), len(factors)), np.nan)
         for k, (low, high) in enumerate(zip(lower, upper, strict=True)):
             try:
-                outputs = self.values(low, high)
+                cases = self.values(low, high)
             except (ArithmeticError, TypeError, ValueError):
                 continue  # not defined there, or the tensors do not fit together
-            for i, row in enumerate(factors):
-                total = models.constant(ZERO, models.symbols(outputs[0]))
-                for output, factor in zip(outputs, row, strict=True):
-                    if factor:
-                        total = models.add(total, scale(output, arb(float(factor))))
-                least = bound(total).lower()
-                if least.is_finite():
-                    found[k, i] = np.nextafter(float(least), -np.inf)
+            found[k] = np.min([[_least(case, row) for row in factors] for case in cases], axis=0)
         return found
 
-    def values(self, lower: Array, upper: Array) -> list[Model]:
-        """Return models of the outputs on a box; ArithmeticError if one is not defined there."""
-        values: dict[str, Values] = {self._input: _inputs(lower, upper)}
-        m = models.symbols(values[self._input][0])
+    def values(self, lower: Array, upper: Array) -> list[list[Model]]:
+        """Return models of the outputs on a box: in every case that it is divided into.
+
+        Where it is open how a comparison of one element with a number ends, both are followed.
+        ArithmeticError if something is not defined everywhere.
+        """
+        first: dict[str, Values] = {self._input: _inputs(lower, upper)}
+        m = models.symbols(first[self._input][0])
         numbers = {
             name: [models.constant(arb(float(x)), m) for x in array.ravel()]
             for name, array in self._constants.items()
             if array.size == _last_axis(array)
         }
-        for k, (apply, sources, target) in enumerate(self._steps):
-            given = [values[s] if s in values else numbers.get(s, []) for s in sources]
-            values[target] = apply(self, given)
-            for source in sources:  # what is not needed any more
-                if self._last[source] == k and source != self._output:
-                    values.pop(source, None)
-        return values[self._output]
+        todo, found = [(0, first, 0)], []
+        while todo:
+            start, values, divided = todo.pop()
+            for k in range(start, len(self._steps)):
+                apply, sources, target = self._steps[k]
+                given = [values[s] if s in values else numbers.get(s, []) for s in sources]
+                values[target] = apply(self, given)
+                if values[target] == [None] and divided < _DIVIDED and sources[1] in numbers:
+                    for sign in (False, True):
+                        case = _assumed(values, sources[0], given[1][0], sign)
+                        todo.append((k + 1, {**case, target: [sign]}, divided + 1))
+                    break
+                for source in sources:  # what is not needed any more
+                    if self._last[source] == k and source != self._output:
+                        values.pop(source, None)
+            else:
+                found.append(values[self._output])
+        return found
 
     def matrix(self, weights: NDArray[np.float64]) -> arb_mat:
         """Return weights ``[out, in]`` as a matrix, made once."""
         if id(weights) not in self._matrices:
             self._matrices[id(weights)] = arb_mat(weights.tolist())
         return self._matrices[id(weights)]
+
+
+def _least(outputs: list[Model], factors: Array) -> float:
+    """Return a lower bound of a sum of multiples of outputs; NaN if there is none."""
+    total = models.constant(ZERO, models.symbols(outputs[0]))
+    for output, factor in zip(outputs, factors, strict=True):
+        if factor:
+            total = models.add(total, scale(output, arb(float(factor))))
+    least = bound(total).lower()
+    return float(np.nextafter(float(least), -np.inf)) if least.is_finite() else np.nan
+
+
+def _assumed(values: dict[str, Values], name: str, number: Model, sign: bool) -> dict[str, Values]:
+    """Return values where one is known to be at least, or at most, a number."""
+    if name not in values:
+        return dict(values)
+    (z,) = values[name]
+    low, high = elements.interval(z)
+    end = number[0]
+    low, high = (low.max(end), high) if sign else (low, high.min(end))
+    parts = (z.above, z.below) if isinstance(z, Known) else (None, None)
+    return {**values, name: [Known(z, low, high, *parts)]}
 
 
 #: What makes a tensor: the function, the names that it takes, and the name of its result.
@@ -175,9 +209,25 @@ def _affine(
         if len(values[0]) != weights.shape[1]:
             raise ArithmeticError("a product does not fit")
         rows = (graph.matrix(weights) * arb_mat(values[0])).tolist()
+        if not bias.any() and all(_is_quotient(z, values[0][0]) for z in values[0]):
+            above = (graph.matrix(weights) * arb_mat([z.above for z in values[0]])).tolist()
+            return [_over(row, up, values[0][0].below) for row, up in zip(rows, above, strict=True)]
         return [plus(row, shift) for row, shift in zip(rows, shifts, strict=True)]
 
     return apply, [source], node.output[0]
+
+
+def _is_quotient(z: Model, first: Model) -> bool:
+    """Tell whether both are quotients by the same number."""
+    if not (isinstance(z, Known) and isinstance(first, Known)):
+        return False
+    return z.below is not None and z.below is first.below
+
+
+def _over(row: Model, above: Model, below: Model) -> Model:
+    """Return a sum of quotients by the same number, of which both forms are known."""
+    ends = elements.divided(elements.interval(above), elements.interval(below))
+    return Known(row, *ends, above=above, below=below)
 
 
 def _elementwise(function: Callable[..., Any]) -> Callable[[list[Values]], Values]:
@@ -203,102 +253,28 @@ def _joined(operands: list[Values]) -> Values:
     return [element for operand in operands for element in operand]
 
 
-def _is_number(z: Model) -> bool:
-    return all(x == 0 for x in z[1:])
-
-
-class _Limited(list[arb]):
-    """A model, and a number that its values do not come below (sign 1) or above (sign -1)."""
-
-    def __init__(self, z: Model, limit: arb, sign: int) -> None:
-        super().__init__(z)
-        self.limit, self.sign = limit, sign
-
-
-def _maximum(z: Model, w: Model) -> Model:
-    return _Limited(models.maximum(z, w), bound(z).lower().max(bound(w).lower()), 1)
-
-
-def _minimum(z: Model, w: Model) -> Model:
-    return _Limited(models.minimum(z, w), bound(z).upper().min(bound(w).upper()), -1)
-
-
-def _reciprocal(z: Model) -> Model:
-    """Return 1 / z; ArithmeticError unless z is known not to be 0."""
-    if _is_number(z):
-        return models.constant(1 / z[0], models.symbols(z))
-    if isinstance(z, _Limited) and z.sign * z.limit > 0:
-        if z.sign > 0:
-            return models.inverse_from(list(z), z.limit)
-        return models.negative(models.inverse_from(models.negative(z), -z.limit))
-    return models.reciprocal(z)
-
-
-def _tanh(z: Model) -> Model:
-    """Return the hyperbolic tangent, by lines where its series does not converge."""
-    try:
-        return models.tanh(z)
-    except ArithmeticError:
-        return models.tanh_line(z)
-
-
-def _sigmoid(z: Model) -> Model:
-    return plus(scale(_tanh(scale(z, HALF)), HALF), HALF)
-
-
-def _product(z: Model, w: Model) -> Model:
-    if _is_number(w):
-        return scale(z, w[0])
-    return scale(w, z[0]) if _is_number(z) else models.multiply(z, w)
-
-
 def _quotients(operands: list[Values]) -> Values:
     above, below = operands
-    inverse = [_reciprocal(z) for z in below]
-    return _elementwise(_product)([above, inverse])
-
-
-def _greater(z: Model, w: Model) -> bool | None:
-    y = models.subtract(z, w)
-    if models.positive(y):
-        return True
-    return False if bound(y) <= 0 or models.positive(models.negative(y)) else None
-
-
-def _at_least(z: Model, w: Model) -> bool | None:
-    y = models.subtract(z, w)
-    if models.positive(models.negative(y)):
-        return False
-    return True if bound(y) >= 0 or models.positive(y) else None
-
-
-def _chosen(condition: bool | None, z: Model, w: Model) -> Model:
-    """Return z or w; where it is open which, their mean and half of how far they are apart."""
-    if isinstance(condition, bool):
-        return z if condition else w
-    if condition is not None:
-        raise TypeError("Where is not of a comparison")
-    apart = abs(bound(models.subtract(z, w))).upper()
-    mean = scale(models.add(z, w), HALF)
-    return [*mean[:-1], mean[-1] + apart * HALF * UNIT]
+    inverse = [elements.reciprocal(z) for z in below]
+    return _elementwise(elements.quotient)([above, below, inverse])
 
 
 #: How many operands, None: any number; what they become.
 _OPERATORS: dict[str, tuple[int | None, Callable[[list[Values]], Values]]] = {
     "Add": (2, _elementwise(models.add)),
     "Sub": (2, _elementwise(models.subtract)),
-    "Mul": (2, _elementwise(_product)),
+    "Mul": (2, _elementwise(elements.product)),
     "Div": (2, _quotients),
     "Neg": (1, _elementwise(models.negative)),
-    "Tanh": (1, _elementwise(_tanh)),
-    "Sigmoid": (1, _elementwise(_sigmoid)),
+    "Tanh": (1, _elementwise(elements.tanh)),
+    "Sigmoid": (1, _elementwise(elements.sigmoid)),
     "Relu": (1, _elementwise(models.relu)),
     "Sin": (1, _elementwise(models.sine)),
     "Cos": (1, _elementwise(models.cosine)),
-    "Max": (None, _folded(_maximum)),
-    "Min": (None, _folded(_minimum)),
+    "Max": (None, _folded(elements.maximum)),
+    "Min": (None, _folded(elements.minimum)),
     "Concat": (None, _joined),
-    "Greater": (2, _elementwise(_greater)),
-    "GreaterOrEqual": (2, _elementwise(_at_least)),
-    "Where": (3, _elementwise(_chosen)),
+    "Greater": (2, _elementwise(elements.greater)),
+    "GreaterOrEqual": (2, _elementwise(elements.at_least)),
+    "Where": (3, _elementwise(elements.chosen)),
 }

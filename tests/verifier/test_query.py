@@ -67,9 +67,8 @@ def test_answers_are_never_wrong(tmp_path_factory, seed, kinds, share):
     answer = decide(onnx, spec, 2.0, folder / "c.h5")
     if answer.verdict == "sat":
         assert judged(onnx, spec, answer.witness).outcome is WitnessOutcome.CORRECT
-        assert share < 0.2
     elif answer.verdict == "unsat":
-        assert room > -1e-6
+        assert room > -1e-6  # else the grid has met a violation
         found = check(folder / "c.h5", spec, onnx)
         assert found.verdict == "valid"
         assert found.margin == pytest.approx(answer.margin_lower)

@@ -7,7 +7,6 @@ import numpy as np
 import onnx
 import pytest
 from asking import model
-from flint import arb
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import helper, numpy_helper
@@ -15,6 +14,7 @@ from onnx.reference import ReferenceEvaluator
 
 from checker.files import Unreadable
 from checker.models import bound
+from checker.query.elements import interval
 from checker.query.graph import Graph
 
 REPOSITORY = Path(__file__).parents[3]
@@ -70,6 +70,17 @@ def random_graph(random, size):
     return model(nodes, constants, 3, widths[last], last)
 
 
+def holds(case, outputs):
+    """Whether outputs lie in their models, up to the evaluator's rounding."""
+    for z, y in zip(case, outputs.tolist(), strict=True):
+        low, high = interval(z)
+        room = 1e-9 * (1 + abs(y))
+        # Nothing is said of what is not finite; a quotient may enlarge rounding.
+        if np.isfinite(y) and abs(y) < 1e6 and (y < low - room or y > high + room):
+            return False
+    return True
+
+
 @settings(deadline=None, max_examples=60)
 @given(
     seed=st.integers(0, 2**32),
@@ -82,7 +93,7 @@ def test_values_lie_in_their_models(seed, size, half):
     middle = random.normal(size=3)
     lower, upper = middle - half, middle + half
     try:
-        found = [bound(z) for z in Graph(content, "graph").values(lower, upper)]
+        cases = Graph(content, "graph").values(lower, upper)
     except ArithmeticError:
         return
     evaluator = in_doubles(content)
@@ -90,11 +101,7 @@ def test_values_lie_in_their_models(seed, size, half):
     with np.errstate(all="ignore"):
         for point in points:
             (outputs,) = evaluator.run(None, {"x": point[None]})
-            for value, y in zip(found, outputs[0].tolist(), strict=True):
-                if value.is_finite():
-                    # The evaluator rounds; a quotient may enlarge that.
-                    room = arb(0, 1e-9 * (1 + abs(y)))
-                    assert (value + room).contains(arb(y)) or abs(y) > 1e6
+            assert any(holds(case, outputs[0]) for case in cases)
 
 
 @pytest.mark.parametrize(
@@ -106,13 +113,12 @@ def test_an_unrolled_loop_lies_in_its_models(graph, lower):
     content = gzip.decompress(file.read_bytes())
     lower = np.array(lower)
     upper = lower + np.array([0.02, 0.01, 0.0, 0.01])
-    values = [bound(z) for z in Graph(content, "graph").values(lower, upper)]
-    assert all(value.rad() < 0.2 for value in values)
+    cases = Graph(content, "graph").values(lower, upper)
+    assert all(bound(z).rad() < 0.2 for case in cases for z in case)
     evaluator, random = in_doubles(content), np.random.default_rng(1)
     for point in random.uniform(lower, upper, size=(20, 4)):
         (outputs,) = evaluator.run(None, {"start": point[None]})
-        for value, y in zip(values, outputs[0].tolist(), strict=True):
-            assert (value + arb(0, 1e-9)).contains(arb(y))
+        assert any(holds(case, outputs[0]) for case in cases)
 
 
 def test_a_quotient_by_what_may_be_zero_is_not_defined():
