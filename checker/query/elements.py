@@ -50,6 +50,12 @@ def is_number(z: Model) -> bool:
     return all(x == 0 for x in z[1:])
 
 
+def negative(z: Model) -> Model:
+    """Return -z."""
+    turned = models.negative(z)
+    return Known(turned, -z.high, -z.low) if isinstance(z, Known) else turned
+
+
 def maximum(z: Model, w: Model) -> Model:
     """Return max(z, w)."""
     (zl, zh), (wl, wh) = interval(z), interval(w)

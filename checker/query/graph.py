@@ -108,11 +108,12 @@ class Graph:
 
 def _least(outputs: list[Model], factors: Array) -> float:
     """Return a lower bound of a sum of multiples of outputs; NaN if there is none."""
-    total = models.constant(ZERO, models.symbols(outputs[0]))
-    for output, factor in zip(outputs, factors, strict=True):
-        if factor:
-            total = models.add(total, scale(output, arb(float(factor))))
-    least = bound(total).lower()
+    total, apart = models.constant(ZERO, models.symbols(outputs[0])), ZERO
+    for output, factor in zip(outputs, map(arb, factors.tolist()), strict=True):
+        if factor != 0:
+            total = models.add(total, scale(output, factor))
+            apart += factor * elements.interval(output)[0 if factor > 0 else 1]
+    least = max((x.lower() for x in (bound(total), apart) if x.is_finite()), default=apart)
     return float(np.nextafter(float(least), -np.inf)) if least.is_finite() else np.nan
 
 
@@ -265,7 +266,7 @@ _OPERATORS: dict[str, tuple[int | None, Callable[[list[Values]], Values]]] = {
     "Sub": (2, _elementwise(models.subtract)),
     "Mul": (2, _elementwise(elements.product)),
     "Div": (2, _quotients),
-    "Neg": (1, _elementwise(models.negative)),
+    "Neg": (1, _elementwise(elements.negative)),
     "Tanh": (1, _elementwise(elements.tanh)),
     "Sigmoid": (1, _elementwise(elements.sigmoid)),
     "Relu": (1, _elementwise(models.relu)),

@@ -131,6 +131,44 @@ def test_a_quotient_by_what_may_be_zero_is_not_defined():
     assert np.isnan(graph.least(box[0][None], box[1][None], np.array([[1.0]]))).all()
 
 
+def numbers(**values):
+    return [numpy_helper.from_array(np.full((1, 1), x, np.float32), n) for n, x in values.items()]
+
+
+def test_an_open_comparison_is_followed_to_both_ends():
+    """|x|, which a hull of x and -x would let be negative."""
+    nodes = [
+        helper.make_node("Greater", ["x", "zero"], ["positive"]),
+        helper.make_node("Neg", ["x"], ["turned"]),
+        helper.make_node("Where", ["positive", "x", "turned"], ["t0"]),
+    ]
+    graph = Graph(model(nodes, numbers(zero=0.0), 1, 1, "t0"), "graph")
+    box = np.array([[-1.0]]), np.array([[1.0]])
+    (ends,) = graph.least(*box, np.array([[1.0], [-1.0]]))
+    assert len(graph.values(box[0][0], box[1][0])) == 2
+    assert ends == pytest.approx([0.0, -1.0], abs=1e-6)
+
+
+def test_a_quotient_by_what_is_nearly_zero_is_large():
+    """min(y / max(x, 1e-6), 3) is 3 for small x and y of about 1, and max(-y / ..., 0) is 0."""
+    nodes = [
+        helper.make_node("MatMul", ["x", "first"], ["g"]),
+        helper.make_node("MatMul", ["x", "second"], ["h"]),
+        helper.make_node("Max", ["g", "tiny"], ["beyond"]),
+        helper.make_node("Div", ["h", "beyond"], ["u"]),
+        helper.make_node("MatMul", ["u", "signs"], ["both"]),
+        helper.make_node("Min", ["both", "three"], ["least"]),
+        helper.make_node("Max", ["least", "zero"], ["t0"]),
+    ]
+    constants = numbers(tiny=1e-6, three=3.0, zero=0.0)
+    for name, column in (("first", [[1], [0]]), ("second", [[0], [1]]), ("signs", [[1, -1]])):
+        constants.append(numpy_helper.from_array(np.array(column, np.float32), name))
+    graph = Graph(model(nodes, constants, 2, 2, "t0"), "graph")
+    box = np.array([[-1e-3, 0.9]]), np.array([[1e-3, 1.1]])
+    ends = graph.least(*box, np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]))[0]
+    assert ends == pytest.approx([3.0, -3.0, 0.0, 0.0], abs=1e-9)
+
+
 def test_where_takes_comparisons_only():
     content = model([helper.make_node("Where", ["x", "x", "c"], ["t0"])],
                     [numpy_helper.from_array(np.ones((1, 1), np.float32), "c")],
