@@ -6,6 +6,7 @@ import hashlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from checker.files import Rejected, Unreadable
 from checker.query.check import answered, excluded
 from checker.query.files import Asked, read_asked
+from harness.query.evaluate import evaluate
 from harness.query.network import read_unpacked
 from harness.query.read import read_query
 from harness.query.terms import Query
@@ -85,7 +87,7 @@ def decide(
         found = climb(controller.layers, runner, asked_areas, search, seed)
     else:
         found = close_in(runner, asked_areas, search, seed)
-    if found is not None:
+    if found is not None and _holds(found, query, runner):
         return _sat(answer, found, query, runner)
     try:
         asked = read_asked(spec, onnx)
@@ -97,7 +99,7 @@ def decide(
 
     def look(area: Area, points: Array) -> None:
         witness = best_witness(runner, area, points)
-        if witness is not None:
+        if witness is not None and _holds(witness, query, runner):
             raise _Found(witness)
 
     bound = _widths if controller is None else _by_lines(controller)
@@ -131,6 +133,18 @@ def _controller(model: bytes, onnx: Path) -> Controller | None:
 def _ends(found: list[Area], inputs: int) -> tuple[Array, Array]:
     ends = [np.array([getattr(area, end) for area in found]) for end in ("lower", "upper")]
     return ends[0].reshape(-1, inputs), ends[1].reshape(-1, inputs)
+
+
+def _holds(found: Witness, query: Query, runner: Runner) -> bool:
+    """Tell whether inputs fulfil a query when the network is run on them alone, strictly if asked.
+
+    Among others onnxruntime may round otherwise.
+    """
+    outputs = runner.outputs(found.point[None])[0]
+    if not np.isfinite(outputs).all():
+        return False
+    values = [[Fraction(x) for x in side.tolist()] for side in (found.point, outputs)]
+    return evaluate(query, values).holds
 
 
 def _sat(answer: Callable[..., Answer], found: Witness, query: Query, runner: Runner) -> Answer:

@@ -59,6 +59,7 @@ def areas(query: Query) -> list[Area]:
                 parts[id(comparison)] = [_part(comparison, row, sizes[0]) for row in rows_of]
         said = [part for comparison in alternative for part in parts[id(comparison)]]
         bounds, rows = _box_and_rows(said, sizes[0])
+        rows = rows or [(np.zeros(sizes[1]), 0.0)]  # nothing is asked of the outputs
         if bounds is not None:
             found.setdefault(bounds, []).append(rows)
     return [_area(bounds, rows) for bounds, rows in found.items()]
