@@ -170,7 +170,7 @@ def read_instance(path: Path) -> Instance:
     hashes = hashlib.sha256(canonical).hexdigest(), hashlib.sha256(content).hexdigest()
     if hashes[1] != claimed:
         raise Unreadable(f"{file}: its sha256 is not the one that {path} names")
-    return Instance(data, hashes[0], _read_layers(content, file), hashes[1])
+    return Instance(data, hashes[0], read_layers(content, file), hashes[1])
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -183,7 +183,7 @@ def _refuse(text: str) -> float:
     raise ValueError(f"{text} is no number")
 
 
-def _read_layers(content: bytes, file: Path) -> list[Layer]:
+def read_layers(content: bytes, file: Path) -> list[Layer]:
     """Read a chain of Gemm and Conv nodes, each followed by an activation or nothing.
 
     A Conv slides along the last axis, and becomes the matrix that it means.

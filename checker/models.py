@@ -218,11 +218,11 @@ def tanh(z: Model) -> Model:
     series = _apply(z, taylor)
     if not magnitude(z[TERMS:]) > _LARGE:
         return series
-    line = _tanh_line(z)
+    line = tanh_line(z)
     return series if abs(series[-1]).upper() <= abs(line[-1]).upper() else line
 
 
-def _tanh_line(z: Model) -> Model:
+def tanh_line(z: Model) -> Model:
     """Return tanh(z) as k z and what lies between, for the slope k of tanh at any place c >= 0.
 
     d(z) = tanh(z) - k z is odd, concave above 0 with its maximum at c, and convex below.

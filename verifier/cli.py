@@ -8,6 +8,7 @@ import click
 
 from racecar.command_line import Commands, print_json
 from verifier.check_command import check
+from verifier.query_command import query
 from verifier.table1_command import table1
 
 
@@ -73,6 +74,7 @@ def verify(
 
 
 main.add_command(check)
+main.add_command(query)
 main.add_command(table1)
 
 

@@ -1,1 +1,1 @@
-"""Reference results: what is known of every closed-loop instance, and by what evidence."""
+"""Reference results: what is known of every instance, and by what evidence."""

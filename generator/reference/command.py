@@ -68,11 +68,12 @@ def reference(
     timeout: float | None, check_timeout: float, jobs: int | None, scheduler: str | None,
     root: Path, as_json: bool,
 ) -> int:  # fmt: skip
-    """Settle the closed-loop instances and write ROOT/benchmarks/CATEGORY/reference.csv.
+    """Settle instances and write ROOT/benchmarks/CATEGORY/reference.csv.
 
     unsat: the reference verifier's certificate is accepted by the checker, in full; sat: a
-    witness holds in the harness's replay; anything else is unknown. With --verify the rows that
-    are there are verified anew; status 1 if one fails.
+    witness holds in the harness's replay, or on the network that a VNN-LIB question is about;
+    anything else is unknown. With --verify the rows that are there are verified anew; status 1 if
+    one fails.
     """
     from generator.reference.runs import Work  # noqa: PLC0415 (slow to import)
 
@@ -92,6 +93,7 @@ def reference(
 
 def _make(benchmarks: Path, chosen: Selection, work: Work, as_json: bool) -> int:
     from generator.reference.make import load_questions, make  # noqa: PLC0415
+    from generator.reference.queries import make_queries  # noqa: PLC0415
     from generator.reference.rows import (  # noqa: PLC0415
         read_rows,
         read_witnesses,
@@ -102,14 +104,19 @@ def _make(benchmarks: Path, chosen: Selection, work: Work, as_json: bool) -> int
     wanted = {entry.id for entry in entries}
     names = {entry.category for entry in entries}
     if _PARTS in names and not chosen.instances:
-        more = _select(benchmarks, Selection((_WHOLE,), chosen.controllers, ()), strict=False)
-        entries = list({entry.id: entry for entry in [*entries, *more]}.values())
+        whole = _select(benchmarks, Selection((_WHOLE,), chosen.controllers, ()), strict=False)
+        entries = list({entry.id: entry for entry in [*entries, *whole]}.values())
 
     def report(done: int, total: int) -> None:
         if not as_json:
             click.echo(f"{done} of {total} instances settled or given up", err=True)
 
-    results = make(load_questions(entries), work, report)
+    loops, queries = _apart(entries)
+    results = make(load_questions(loops), work, report)
+    if queries:
+        more = make_queries(queries, work, report)
+        results.rows |= more.rows
+        results.witnesses |= more.witnesses
     for name in sorted(names):
         folder = benchmarks / name
         rows, witnesses = read_rows(folder), read_witnesses(folder)
@@ -150,8 +157,10 @@ def _verify(
     as_json: bool,
 ) -> int:
     from generator.reference.make import load_questions  # noqa: PLC0415
+    from generator.reference.queries import verify_queries  # noqa: PLC0415
     from generator.reference.rows import read_rows, read_witnesses  # noqa: PLC0415
     from generator.reference.verify import sample, verify  # noqa: PLC0415
+    from harness.catalogue import category_names  # noqa: PLC0415
 
     entries = _select(benchmarks, chosen)
     wanted = {entry.id for entry in entries}
@@ -162,14 +171,19 @@ def _verify(
     if not rows:
         raise BadInput(f"{benchmarks}: there is no reference result to verify")
     ids = {row.instance for row in rows} | {row.source for row in rows if row.source}
-    known = {e.id: e for n in _closed_loops(benchmarks) for e in _load(benchmarks, n)}
-    questions = _by_id(load_questions(known[id] for id in sorted(ids & known.keys())))
+    known = {e.id: e for n in category_names(benchmarks) for e in _load(benchmarks, n)}
+    loops, queries = _apart(known[id] for id in sorted(ids & known.keys()))
     witnesses = {
         id: text
-        for name in _closed_loops(benchmarks)
+        for name in category_names(benchmarks)
         for id, text in read_witnesses(benchmarks / name).items()
     }
-    found = verify(rows, questions, witnesses, work, same_bytes)
+    asked = {entry.id: entry for entry in queries}
+    of_queries = [row for row in rows if row.instance in asked]
+    of_loops = [row for row in rows if row.instance not in asked]
+    found = verify(of_loops, _by_id(load_questions(loops)), witnesses, work, same_bytes)
+    if of_queries:
+        found += verify_queries(of_queries, asked, witnesses, work, same_bytes)
     failed = [row for row in found if row.fault]
     for row in found if as_json else []:
         print_json({"instance": row.instance, "verdict": row.verdict, "fault": row.fault or None})
@@ -186,12 +200,14 @@ def _by_id(questions: Iterable[Question]) -> dict[str, Question]:
     return {question.id: question for question in questions}
 
 
-def _closed_loops(benchmarks: Path) -> list[str]:
-    """Return the categories whose instances are closed loops."""
-    from harness.catalogue import category_names, is_query  # noqa: PLC0415
+def _apart(entries: Iterable[Entry]) -> tuple[list[Entry], list[Entry]]:
+    """Return closed loops, and questions about networks."""
+    from harness.catalogue import is_query  # noqa: PLC0415
 
-    loaded = ((name, _load(benchmarks, name)) for name in category_names(benchmarks))
-    return [name for name, entries in loaded if entries and not is_query(entries[0].spec)]
+    found: tuple[list[Entry], list[Entry]] = ([], [])
+    for entry in entries:
+        found[is_query(entry.spec)].append(entry)
+    return found
 
 
 def _load(benchmarks: Path, name: str) -> list[Entry]:
@@ -201,14 +217,13 @@ def _load(benchmarks: Path, name: str) -> list[Entry]:
 
 
 def _select(benchmarks: Path, chosen: Selection, strict: bool = True) -> list[Entry]:
-    """Return the closed-loop instances that are asked for; BadInput if there are none."""
-    there = _closed_loops(benchmarks)
+    """Return the instances that are asked for; BadInput if there are none."""
+    from harness.catalogue import category_names  # noqa: PLC0415
+
+    there = category_names(benchmarks)
     unknown = [name for name in chosen.categories if name not in there]
     if unknown and strict:
-        raise BadInput(
-            f"--category {unknown[0]}: reference results are made of closed loops only; "
-            f"choose one of {', '.join(there)}"
-        )
+        raise BadInput(f"--category {unknown[0]}: there is no such one; choose {', '.join(there)}")
     names = [name for name in chosen.categories or there if name in there]
     entries = [entry for name in names for entry in _load(benchmarks, name)]
     for option, asked, have in (
@@ -227,4 +242,6 @@ def _select(benchmarks: Path, chosen: Selection, strict: bool = True) -> list[En
 
 
 def _controller(entry: Entry) -> str:
-    return entry.onnx.name.removesuffix(".gz").removesuffix(".onnx")
+    """Return the controller's name; a graph of unrolled steps has more after it."""
+    name = entry.onnx.name.removesuffix(".gz").removesuffix(".onnx")
+    return name.partition(".")[0]

@@ -97,7 +97,7 @@ def _run_round(
     proved = []
     for question in batch:
         outcome = outcomes[question.id]
-        results.rows[question.id] = _open_row(question, outcome)
+        results.rows[question.id] = open_row(question.id, outcome)
         if outcome.record.verdict == "unsat" and work.certificate(question.id).is_file():
             proved.append(question)
         elif outcome.witness is not None:
@@ -107,17 +107,17 @@ def _run_round(
         first = largest(proved)
         checks = work.check([question.entry for question in first])
         for question in first:
-            _take_check(question, outcomes[question.id], checks[question.id], work, results)
+            take_check(question.id, checks[question.id], work, results)
             if results.settled(question):
                 _spread_proof(question, questions, results)
         proved = [question for question in proved if question not in first]
 
 
-def _open_row(question: Question, outcome: Outcome) -> Row:
+def open_row(id: str, outcome: Outcome) -> Row:
     """Return the row of an instance of which nothing is proved yet."""
     record, upper = outcome.record, outcome.printed.get("margin_upper")
     return Row(
-        instance=question.id,
+        instance=id,
         verdict="unknown",
         margin_lower="",
         margin_upper="" if upper is None else repr(upper),
@@ -130,11 +130,9 @@ def _open_row(question: Question, outcome: Outcome) -> Row:
     )
 
 
-def _take_check(
-    question: Question, proof: Outcome, check: Outcome, work: Work, results: Results
-) -> None:
+def take_check(id: str, check: Outcome, work: Work, results: Results) -> None:
     """Take a certificate for what the checker makes of it."""
-    row, found, record = results.rows[question.id], check.printed, check.record
+    row, found, record = results.rows[id], check.printed, check.record
     verdict, lower, upper = "unknown", "", row.margin_upper
     if record.verdict == "unsat" and found.get("verdict") == "valid" and found["margin"] > 0:
         verdict, lower = "unsat", repr(found["margin"])
@@ -143,10 +141,10 @@ def _take_check(
         method = f"proof, certificate rejected: {found['reason']}"
     else:
         method = f"proof, not checked within {record.limits.wall_s:g} s"
-    evidence = sha256(work.certificate(question.id).read_bytes())
-    results.rows[question.id] = replace(
+    evidence = sha256(work.certificate(id).read_bytes())
+    results.rows[id] = replace(
         row, verdict=verdict, margin_lower=lower, margin_upper=upper, method=method,
-        source=question.id, evidence=evidence, check_s=f"{record.run_time:.3f}",
+        source=id, evidence=evidence, check_s=f"{record.run_time:.3f}",
     )  # fmt: skip
 
 

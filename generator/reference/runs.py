@@ -31,16 +31,18 @@ _HEAD = """#!/usr/bin/env bash
 set -eu
 [ "$1" = v1 ] || {{ echo "unknown interface version $1" >&2; exit 1; }}
 """
-_CERTIFICATE = """spec=${{4##*/}}
-certificate={certificates}/${{spec%.json}}.h5
+_CERTIFICATE = """spec=${{4##*/}} spec=${{spec%.gz}} spec=${{spec%.json}} spec=${{spec%.vnnlib}}
+certificate={certificates}/$spec.h5
 """
 _PROVE = """# Starting Python and writing the answer take time that counts: stop a little early.
 limit=$(awk -v limit="$6" 'BEGIN { print (limit > 4) ? limit - 2 : limit / 2 }')
-exec "${PYTHON:-python3}" -m verifier verify "$4" --json --result "$5" --timeout "$limit" \\
+case $4 in *.json) asked=(verify "$4") ;; *) asked=(query "$3" "$4") ;; esac
+exec "${PYTHON:-python3}" -m verifier "${asked[@]}" --json --result "$5" --timeout "$limit" \\
   --certificate "$certificate"
 """
 _CHECK = """status=0
-"${PYTHON:-python3}" -m verifier check "$certificate" "$4" --json || status=$?
+case $4 in *.json) of=() ;; *) of=(--network "$3") ;; esac
+"${PYTHON:-python3}" -m verifier check "$certificate" "$4" "${of[@]}" --json || status=$?
 case $status in 0) echo unsat > "$5" ;; 1) echo unknown > "$5" ;; *) exit $status ;; esac
 """
 

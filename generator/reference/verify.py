@@ -62,7 +62,7 @@ def verify(
         elif row.verdict == "sat":
             fault = _witness_fault(row, questions, witnesses)
         else:
-            fault = _unknown_fault(row)
+            fault = unknown_fault(row)
         found.append(Found(row.instance, row.verdict, fault))
     return found
 
@@ -119,7 +119,8 @@ def _witness_fault(
     return ""
 
 
-def _unknown_fault(row: Row) -> str:
+def unknown_fault(row: Row) -> str:
+    """Return what is wrong with a row that should be open."""
     if row.verdict != "unknown":
         return f"verdict is {row.verdict!r}"
     return "an open row has a proved margin" if row.margin_lower else ""

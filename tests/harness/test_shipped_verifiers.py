@@ -43,13 +43,22 @@ def run(tool, root, tmp_path):
     return {r["instance"]: r for r in map(json.loads, done.stdout.splitlines())}
 
 
-@pytest.mark.parametrize("tool", ["reference", "simulate", "flowstar"])
+@pytest.mark.parametrize("tool", ["simulate", "flowstar"])
 def test_tools_for_closed_loops_say_unknown_to_networks_at_once(tmp_path, tool, monkeypatch):
     monkeypatch.setenv("FLOWSTAR", "/bin/false")
     found = run(tool, benchmarks_of(tmp_path, [Format.VNNLIB_1], 1), tmp_path)
     assert {r["result"] for r in found.values()} == {"unknown"}
     log = log_of(tmp_path / "run", "difference_small")
     assert "not read VNN-LIB" in log or "flowstar reads json" in log
+
+
+@pytest.mark.parametrize("format_", [Format.VNNLIB_1, Format.VNNLIB_2])
+def test_the_reference_verifier_answers_questions_about_networks(tmp_path, format_):
+    found = run("reference", benchmarks_of(tmp_path, [format_], 2), tmp_path)
+    known = {tiny.entry.id: tiny.answer for tiny in make_tiny(tmp_path / "again", [format_], 30)}
+    assert {id: r["result"] for id, r in found.items()} == {id: known[id] for id in found}
+    assert all(r["witness_check"]["outcome"] == "correct"
+               for r in found.values() if r["result"] == "sat")  # fmt: skip
 
 
 @pytest.mark.parametrize(("printed", "result"), [

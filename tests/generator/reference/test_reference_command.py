@@ -57,14 +57,6 @@ def made(tmp_path_factory):
     return root, work
 
 
-@pytest.fixture
-def copied(made, tmp_path):
-    """The same, to be changed."""
-    for source, name in zip(made, ("root", "work"), strict=True):
-        shutil.copytree(source, tmp_path / name)
-    return tmp_path / "root", tmp_path / "work"
-
-
 def test_one_proof_stands_for_the_shorter_question_too(made):
     rows = read_rows(made[0] / "benchmarks" / "quick")
     assert [rows[id].verdict for id in (PROVED, IMPLIED, REFUTED)] == ["unsat", "unsat", "sat"]
