@@ -131,8 +131,9 @@ def _category(root: Path, name: str) -> CategoryFacts:
 
 
 def _known(row: Row) -> Known:
-    numbers = (float(text) if text else None for text in (row.margin_lower, row.margin_upper))
-    return Known(row.verdict, *numbers, float(row.time_s) if row.time_s else None)
+    texts = row.margin_lower, row.margin_upper, row.time_s
+    lower, upper, seconds = (float(text) if text else None for text in texts)
+    return Known(row.verdict, lower, upper, seconds)
 
 
 def _width(spec: Path) -> float:

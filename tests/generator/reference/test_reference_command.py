@@ -145,7 +145,7 @@ def test_a_witness_that_does_not_crash_fails(copied):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--category", "nothing"], "choose one of quick"),
+        (["--category", "nothing"], "choose quick"),
         (["--controller", "nobody"], "--controller nobody"),
         (["--instance", "none"], "--instance none"),
         (["--sample", "3"], "--verify"),
