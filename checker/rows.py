@@ -35,8 +35,9 @@ from checker.models import (
 )
 from checker.step import Network, Path, Sensors, View, scans, steering
 
-#: The domain of a row whose step cannot be proved at once is halved at most so often.
-_DIVIDED = 4
+#: Parts of a row whose step cannot be proved at once are halved, at most so many of them: enough
+#: to come close to a kink that sits at an end of the row.
+_HALVED = 40
 
 
 class Checker:
@@ -207,14 +208,16 @@ class Checker:
             else:
                 return
         todo: list[tuple[Cuts, list[Model]]] = [((), state_of(row))]
+        halved = 0
         while todo:
             cuts, state = todo.pop()
             try:
                 read = self._scans(row, state, assumed)
                 self._check_period(row, state, list(map(self.network.steering, read)), image, cuts)
             except (Rejected, ArithmeticError):
-                if len(cuts) == _DIVIDED:
+                if halved == _HALVED:
                     raise
+                halved += 1
                 k = _longest(state)
                 for cut in ((k, -ONE, ZERO), (k, ZERO, ONE)):
                     todo.append(((*cuts, cut), restricted(state, (cut,))))

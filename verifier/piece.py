@@ -10,7 +10,7 @@ from verifier.models import Array
 from verifier.record import Record
 
 #: The ends of a row's piece are tracked to within this (in the box's units, -1 to 1).
-_TRACKED = 2e-12
+_TRACKED = 1e-10
 
 
 @dataclass(frozen=True)
