@@ -62,15 +62,15 @@ def between(low: NDArray, high: NDArray) -> Balls:
 
 
 def lower(x: Balls) -> NDArray:
-    """Return lower bounds."""
+    """Return lower bounds: a unit in the last place further, as half of one may be rounded off."""
     low = x.middle - x.radius
-    return low - (U * np.abs(low) + TINY)
+    return low - (2 * U * np.abs(low) + TINY)
 
 
 def upper(x: Balls) -> NDArray:
     """Return upper bounds."""
     high = x.middle + x.radius
-    return high + (U * np.abs(high) + TINY)
+    return high + (2 * U * np.abs(high) + TINY)
 
 
 def size(x: Balls) -> NDArray:

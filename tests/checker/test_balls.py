@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from flint import arb, fmpq
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from checker import balls
@@ -64,6 +64,7 @@ def test_quotients_by_numbers_contain_the_exact_result(x, s, n):
 
 
 @given(BALL, BALL, SHARES)
+@example((1.0, 9e-311), (0.0, 0.0), Fraction(1))
 def test_bounds_are_bounds(x, y, s):
     value = member(x, s)
     assert balls.lower(one(x))[0] <= value <= balls.upper(one(x))[0]
