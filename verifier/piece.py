@@ -9,7 +9,8 @@ import numpy as np
 from verifier.models import Array
 from verifier.record import Record
 
-#: The ends of a row's piece are tracked to within this (in the box's units, -1 to 1).
+#: The ends of a row's piece are tracked to within this (in the box's units, -1 to 1): a
+#: certificate allows each of many divisions to be wider by 2^-40.
 _TRACKED = 1e-10
 
 
