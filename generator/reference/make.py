@@ -133,9 +133,9 @@ def open_row(id: str, outcome: Outcome) -> Row:
 def take_check(id: str, check: Outcome, work: Work, results: Results) -> None:
     """Take a certificate for what the checker makes of it."""
     row, found, record = results.rows[id], check.printed, check.record
-    verdict, lower, upper = "unknown", "", row.margin_upper
-    if record.verdict == "unsat" and found.get("verdict") == "valid" and found["margin"] > 0:
-        verdict, lower = "unsat", repr(found["margin"])
+    verdict, lower = "unknown", ""
+    if check.proved is not None and check.proved > 0:
+        verdict, lower = "unsat", repr(check.proved)
         method = f"proof, checked in full ({found['rows']} rows)"
     elif found.get("verdict") == "rejected":
         method = f"proof, certificate rejected: {found['reason']}"
@@ -143,8 +143,8 @@ def take_check(id: str, check: Outcome, work: Work, results: Results) -> None:
         method = f"proof, not checked within {record.limits.wall_s:g} s"
     evidence = sha256(work.certificate(id).read_bytes())
     results.rows[id] = replace(
-        row, verdict=verdict, margin_lower=lower, margin_upper=upper, method=method,
-        source=id, evidence=evidence, check_s=f"{record.run_time:.3f}",
+        row, verdict=verdict, margin_lower=lower, method=method, source=id, evidence=evidence,
+        check_s=f"{record.run_time:.3f}",
     )  # fmt: skip
 
 

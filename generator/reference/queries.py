@@ -9,7 +9,7 @@ from dataclasses import replace
 from generator.reference.make import Results, open_row, take_check
 from generator.reference.rows import Row, sha256
 from generator.reference.runs import Outcome, Work
-from generator.reference.verify import ROOM, Found, margin_fault, unknown_fault
+from generator.reference.verify import ROOM, Found, margin_fault, number, unknown_fault
 from harness.catalogue import Entry
 from harness.checks import judge_entry
 
@@ -93,9 +93,9 @@ def _proof_fault(row: Row, check: Outcome | None, work: Work, same_bytes: bool) 
     same = sha256(file.read_bytes()) == row.evidence
     if same_bytes and not same:
         return f"{file}: its sha256 is not the one of the row"
-    if check.record.verdict != "unsat" or check.printed.get("verdict") != "valid":
+    if check.proved is None:
         return f"{file}: the checker does not accept it, or not in time"
-    return margin_fault(row, check.printed["margin"], same)
+    return margin_fault(row, check.proved, same)
 
 
 def _witness_fault(row: Row, entry: Entry, witnesses: Mapping[str, str]) -> str:
@@ -107,11 +107,7 @@ def _witness_fault(row: Row, entry: Entry, witnesses: Mapping[str, str]) -> str:
     check = judge_entry(entry, text.encode())
     if not check.establishes_sat or check.violation is None:
         return f"its witness: {check.outcome}: {check.message}"
-    try:
-        claimed = float(row.margin_upper)
-    except ValueError:
-        claimed = math.nan
     # onnxruntime's last bits depend on the machine.
-    if not math.isclose(claimed, -check.violation, abs_tol=ROOM, rel_tol=ROOM):
+    if not math.isclose(number(row.margin_upper), -check.violation, abs_tol=ROOM, rel_tol=ROOM):
         return f"margin_upper is {row.margin_upper}, judged is {-check.violation!r}"
     return ""

@@ -55,6 +55,13 @@ class Outcome:
     printed: dict[str, Any]
     witness: bytes | None
 
+    @property
+    def proved(self) -> float | None:
+        """The margin that the checker proved; None if it did not accept the certificate."""
+        if self.record.verdict == "unsat" and self.printed.get("verdict") == "valid":
+            return float(self.printed["margin"])
+        return None
+
 
 @dataclass(frozen=True)
 class Work:

@@ -51,9 +51,7 @@ def verify(
     claimed = {q.id: q for q in known if work.certificate(q.id).is_file()}
     checks = work.check_anew([q.entry for q in claimed.values()])
     proved = {
-        name: outcome.printed["margin"]
-        for name, outcome in checks.items()
-        if outcome.record.verdict == "unsat" and outcome.printed.get("verdict") == "valid"
+        name: outcome.proved for name, outcome in checks.items() if outcome.proved is not None
     }
     found = []
     for row in rows:
@@ -97,7 +95,7 @@ def margin_fault(row: Row, proved: float, same: bool) -> str:
     less, as the last bits of matrix products differ.
     """
     room = 0.0 if same else ROOM
-    if 0 < _number(row.margin_lower) <= proved + room:
+    if 0 < number(row.margin_lower) <= proved + room:
         return ""
     return f"margin_lower is {row.margin_lower}, proved is {proved!r}"
 
@@ -114,7 +112,7 @@ def _witness_fault(
     if not check.establishes_sat or check.margin is None:
         return f"its witness: {check.outcome}: {check.message}"
     # The replay's last bits depend on the machine.
-    if not math.isclose(_number(row.margin_upper), check.margin, abs_tol=ROOM):
+    if not math.isclose(number(row.margin_upper), check.margin, abs_tol=ROOM):
         return f"margin_upper is {row.margin_upper}, replayed is {check.margin!r}"
     return ""
 
@@ -126,7 +124,8 @@ def unknown_fault(row: Row) -> str:
     return "an open row has a proved margin" if row.margin_lower else ""
 
 
-def _number(text: str) -> float:
+def number(text: str) -> float:
+    """Return the number in a cell, NaN if there is none."""
     try:
         return float(text)
     except ValueError:
