@@ -15,10 +15,14 @@ import numpy as np
 from flint import arb
 from numpy.typing import NDArray
 
+import checker.tanh
+
 U = 2.0**-53
 #: More than six roundings of a sum of terms that are not negative.
 UP, DOWN = 1 + 2.0**-50, 1 - 2.0**-50
 TINY = 2.0**-1000
+#: Beyond, the hyperbolic tangent of a double is what it is here, within its error.
+FAR = 100.0
 
 
 class Balls(NamedTuple):
@@ -108,18 +112,6 @@ def over(x: Balls, number: float) -> Balls:
     return Balls(middle, (x.radius / abs(number) + U * np.abs(middle)) * UP + TINY)
 
 
-def divide(x: Balls, y: Balls) -> Balls:
-    """Return x / y, y of ordinary size; infinite or NaN where y may be 0.
-
-    With the rounded quotient m, x / y - m = (x - m y) / y, and of the middles the numerator is
-    at most U |m y|.
-    """
-    middle = x.middle / y.middle
-    off = x.radius + np.abs(middle) * (y.radius + 2 * U * np.abs(y.middle)) + TINY
-    least = (np.abs(y.middle) - y.radius) * DOWN - TINY
-    return Balls(middle, np.where(least > 0, off / least * UP * UP, np.inf) + TINY)
-
-
 def total(x: Balls) -> Balls:
     """Return sums along the last axis."""
     n = x.middle.shape[-1]
@@ -152,42 +144,10 @@ def clip(x: Balls, low: float, high: float) -> Balls:
     return between(np.clip(lower(x), low, high), np.clip(upper(x), low, high))
 
 
-# --- tanh -----------------------------------------------------------------------------------
-
-_STEPS = 32  # places of the table in a unit
-_END = 20  # beyond, tanh differs from its sign by less than 1e-17
-_TABLE = from_arb(
-    [(arb(k) / _STEPS).tanh() for k in range(-_END * _STEPS, _END * _STEPS + 1)], (-1,)
-)
-#: tanh t = t - t^3/3 + 2 t^5/15 - 17 t^7/315 + ..., |t| <= 1/2: 62 t^9/2835, the
-#: next term, bounds what is cut off.
-_SERIES = from_arb([arb(1), arb(-1) / 3, arb(2) / 15, arb(-17) / 315], (-1,))
-_NEXT = 0.0219
-
-
 def tanh(x: NDArray) -> Balls:
-    """Return balls with the hyperbolic tangents of doubles.
-
-    tanh(c + t) = (tanh c + tanh t) / (1 + tanh c tanh t) with the nearest c of a table.
-    """
-    inside = np.clip(np.where(np.isfinite(x), x, 0.0), -_END, _END)
-    place = np.rint(inside * _STEPS).astype(int)
-    t = subtract(exact(inside), exact(place / _STEPS))
-    square = multiply(t, t)
-    series = _SERIES.at(3)
-    for k in (2, 1, 0):
-        series = add(multiply(series, square), _SERIES.at(k))
-    series = multiply(series, t)
-    most = size(t)
-    cube = most * most * most
-    cut = cube * cube * cube * _NEXT + TINY
-    small = Balls(series.middle, (series.radius + cut) * UP)
-    near = _TABLE.at(place + _END * _STEPS)
-    one = exact(np.ones_like(inside))
-    found = divide(add(near, small), add(one, multiply(near, small)))
-    beyond = np.abs(x) > _END
-    radius = np.where(np.isnan(x), np.inf, np.where(beyond, 1e-16, found.radius))
-    return Balls(np.where(beyond, np.sign(x), found.middle), radius)
+    """Return balls with the hyperbolic tangents of doubles."""
+    middle = checker.tanh.tanh(np.clip(x, -FAR, FAR))
+    return Balls(middle, np.where(np.isnan(middle), np.inf, checker.tanh.TANH_ERROR))
 
 
 def tanh_between(x: Balls) -> Balls:

@@ -50,14 +50,6 @@ def test_operations_contain_the_exact_result(name, x, y, s, t):
     assert contains(found, exact(member(x, s), member(y, t)))
 
 
-@given(BALL, BALL, SHARES, SHARES)
-def test_quotients_contain_the_exact_result(x, y, s, t):
-    with np.errstate(all="ignore"):
-        found = balls.divide(one(x), one((1 + abs(y[0]) % 7, y[1] / 2)))
-    divisor = member((1 + abs(y[0]) % 7, y[1] / 2), t)
-    assert contains(found, member(x, s) / divisor)
-
-
 @given(BALL, SHARES, st.integers(1, 1000))
 def test_quotients_by_numbers_contain_the_exact_result(x, s, n):
     assert contains(balls.over(one(x), -n), -member(x, s) / n)
