@@ -94,10 +94,11 @@ def _run_round(
     batch: Sequence[Question], questions: Sequence[Question], work: Work, results: Results
 ) -> None:
     outcomes = work.prove([question.entry for question in batch])
+    # All before any witness, which may settle others of the batch, too.
+    results.rows |= {q.id: open_row(q.id, outcomes[q.id]) for q in batch}
     proved = []
     for question in batch:
         outcome = outcomes[question.id]
-        results.rows[question.id] = open_row(question.id, outcome)
         if outcome.record.verdict == "unsat" and work.certificate(question.id).is_file():
             proved.append(question)
         elif outcome.witness is not None:
@@ -191,7 +192,7 @@ def _try_witness(
     check = judge_entry(asked.entry, witness)
     row = results.rows.get(asked.id)
     if not check.establishes_sat or check.margin is None:
-        if outcome is not None and row is not None:
+        if outcome is not None and row is not None and not results.settled(asked):
             results.rows[asked.id] = replace(row, method=f"verifier: sat; witness {check.outcome}")
         return
     base = row or results.rows[source.id]

@@ -65,6 +65,29 @@ def test_one_proof_stands_for_the_shorter_question_too(made):
     assert float(rows[REFUTED].margin_upper) <= 0
 
 
+def test_a_witness_settles_what_was_tried_beside_it_and_not_found(tmp_path):
+    root, work = tmp_path / "root", tmp_path / "work"
+    folder = root / "benchmarks" / "quick"
+    (folder / "json").mkdir(parents=True)
+    (root / "onnx").mkdir()
+    shutil.copy(CHECKOUT / "onnx" / f"{NAME}.onnx", root / "onnx")
+    shutil.copy(CHECKOUT / "benchmarks" / "quick" / "json" / f"{REFUTED}.json", folder / "json")
+    first = load_instance(folder / "json" / f"{REFUTED}.json")
+    wider = first.initial_set.model_copy(update={"s": (0.5, 0.56)})
+    beside = first.model_copy(update={"id": IMPLIED, "steps": 4, "initial_set": wider})
+    save_instance(beside, folder / "json" / f"{IMPLIED}.json")
+    lines = [
+        f"../../onnx/{NAME}.onnx,json/{id}.json,{limit}\n"
+        for id, limit in ((REFUTED, 60), (IMPLIED, 0.1))  # the second ends before Python starts
+    ]
+    (folder / "instances.csv").write_text("".join(lines))
+    done = run(root, work, "--json")
+    assert done.exit_code == 0, done.output
+    row = read_rows(folder)[IMPLIED]
+    assert (row.verdict, row.source) == ("sat", REFUTED)
+    assert run(root, work, "--verify").exit_code == 0
+
+
 def test_a_claim_against_the_results_is_incorrect(made):
     references = load_references(made[0] / "benchmarks")
     claims = [Claim("liar", "quick", id, Verdict.UNSAT, 1.0, 60.0) for id in (PROVED, REFUTED)]
