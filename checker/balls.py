@@ -90,7 +90,7 @@ def add(x: Balls, y: Balls) -> Balls:
 
 def subtract(x: Balls, y: Balls) -> Balls:
     """Return x - y."""
-    return add(x, Balls(-y.middle, y.radius))
+    return add(x, negative(y))
 
 
 def multiply(x: Balls, y: Balls) -> Balls:
@@ -98,6 +98,11 @@ def multiply(x: Balls, y: Balls) -> Balls:
     middle = x.middle * y.middle
     radius = np.abs(x.middle) * y.radius + x.radius * (np.abs(y.middle) + y.radius)
     return Balls(middle, (radius + U * np.abs(middle)) * UP + TINY)
+
+
+def negative(x: Balls) -> Balls:
+    """Return -x."""
+    return Balls(-x.middle, x.radius)
 
 
 def times(x: Balls, factor: float) -> Balls:
@@ -110,6 +115,16 @@ def over(x: Balls, number: float) -> Balls:
     """Return the quotient by a number of ordinary size."""
     middle = x.middle / number
     return Balls(middle, (x.radius / abs(number) + U * np.abs(middle)) * UP + TINY)
+
+
+def reciprocal(x: Balls) -> Balls:
+    """Return 1 / x; balls that may hold 0 have infinite radius."""
+    low, high = lower(x), upper(x)
+    one_sign = (low > 0) | (high < 0)
+    ends = 1 / np.where(one_sign, high, 1.0), 1 / np.where(one_sign, low, 1.0)
+    both = between(*ends)
+    rounding = 2 * U * np.maximum(*map(np.abs, ends))
+    return Balls(both.middle, np.where(one_sign, (both.radius + rounding) * UP + TINY, np.inf))
 
 
 def total(x: Balls) -> Balls:

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-from flint import arb
+from collections.abc import Iterator
 
-from checker.batch import Batch
+import numpy as np
+from flint import arb
+from numpy.typing import NDArray
+
+from checker.balls import Balls
+from checker.batch import of_models, of_rows
+from checker.batch_lidar import readings
+from checker.batch_network import BatchNetwork
 from checker.files import Certificate, GuardKind, Instance, Kind, Rejected, Row, Unreadable, require
 from checker.forest import WIDER, Assumed, Forest
 from checker.inclusion import (
@@ -33,7 +40,7 @@ from checker.models import (
     restrict,
     symbols,
 )
-from checker.step import Network, Path, Sensors, View, scans, steering
+from checker.step import Network, Path, Sensors, View, choices, steering
 
 #: Parts of a row whose step cannot be proved at once are halved, at most so many of them: enough
 #: to come close to a kink that sits at an end of the row.
@@ -48,7 +55,7 @@ class Checker:
             self.plant, self.unsafe = instance.data["plant"], instance.data["property"]["unsafe"]
             self.frames = self.plant["frames"]
             self.sensors, self.network = Sensors(instance.data), Network(instance.layers)
-            self._batch = Batch(instance.layers)
+            self._batch = BatchNetwork(instance.layers)
             self.forest = Forest(cert, instance)
             self._check_instance()
         except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -171,22 +178,17 @@ class Checker:
         gathered = self.rows[assumed.origin].kind == Kind.GATHERED
         return gathered and all(map(self.settled, self.forest.sources[assumed.origin]))
 
-    def _scans(self, row: Row, state: list[Model], assumed: Assumed) -> list[list[Model]]:
-        """Return what the network may read on a part of a row."""
-        case = self.forest.missing[row.case].nonzero()[0].tolist()
-        active = self.sensors.active(state, assumed.turn) if case else (False, True)
-        return scans(self.sensors, self._view(row, state, assumed), case, active)
+    def _choices(self, i: int, state: list[Model]) -> list[list[int]]:
+        """Return which rays may be missing together on (a part of) a row."""
+        case = self.forest.missing[self.rows[i].case].nonzero()[0].tolist()
+        assumed = self.forest.assumptions(i).turn
+        return choices(
+            self.sensors, case, self.sensors.active(state, assumed) if case else (False, True)
+        )
 
     def _answers(self, indices: list[int]) -> dict[int, list[Model]]:
         """Return the network's answers to the scans of rows, of those for which it has bounds."""
-        asked: list[tuple[int, list[Model]]] = []
-        for i in indices:
-            row = self.rows[i]
-            try:
-                found = self._scans(row, state_of(row), self.forest.assumptions(i))
-            except (Rejected, ArithmeticError, ValueError):
-                continue  # nor is it proved at once
-            asked += [(i, scan) for scan in found]
+        asked = list(self._scans_ahead(indices))
         out: dict[int, list[Model]] = {i: [] for i, _ in asked}
         answers = self._batch.steering([scan for _, scan in asked])
         for (i, _), answer in zip(asked, answers, strict=True):
@@ -195,6 +197,37 @@ class Checker:
             elif i in out:
                 out[i].append(answer)
         return out
+
+    def _scans_ahead(self, indices: list[int]) -> Iterator[tuple[int, Balls]]:
+        """Yield what the network may read on rows, for all choices, if all of it has bounds."""
+        for frame in {self.rows[i].frame for i in indices}:
+            mine = [i for i in indices if self.rows[i].frame == frame]
+            obstacles = self.frames[frame]["obstacles"]
+            crosses = [self.forest.assumptions(i).crosses for i in mine]
+            states = of_rows([self.rows[i] for i in mine])
+            read, proved = readings(self.sensors.rays, obstacles, states, crosses)
+            asked: dict[tuple[int, ...], list[int]] = {}
+            for k, i in enumerate(mine):
+                try:
+                    self._complete(read.at(k), proved[k], i)
+                    found = self._choices(i, state_of(self.rows[i]))
+                except (Rejected, ArithmeticError, ValueError):
+                    continue  # nor is it proved at once
+                for gone in found:
+                    asked.setdefault(tuple(gone), []).append(k)
+            for choice, places in asked.items():
+                scans = self.sensors.disturbed(read.at(places), list(choice))
+                yield from ((mine[k], scans.at(n)) for n, k in enumerate(places))
+
+    def _complete(self, scan: Balls, proved: NDArray, i: int) -> None:
+        """Put in the readings of a row that are not proved in doubles."""
+        if proved.all():
+            return
+        row = self.rows[i]
+        view = self._view(row, state_of(row), self.forest.assumptions(i))
+        for ray in np.flatnonzero(~proved).tolist():
+            model = of_models([view.reading(ray)])
+            scan.middle[ray], scan.radius[ray] = model.middle[0], model.radius[0]
 
     def _check_step(self, i: int, image: Row, answers: list[Model] | None) -> None:
         """Prove clearance and image of one period."""
@@ -212,7 +245,8 @@ class Checker:
         while todo:
             cuts, state = todo.pop()
             try:
-                read = self._scans(row, state, assumed)
+                view = self._view(row, state, assumed)
+                read = [self.sensors.readings(view, gone) for gone in self._choices(i, state)]
                 self._check_period(row, state, list(map(self.network.steering, read)), image, cuts)
             except (Rejected, ArithmeticError):
                 if halved == _HALVED:

@@ -8,6 +8,8 @@ from typing import Any
 from flint import arb, arb_mat
 
 from checker import models
+from checker.balls import Balls
+from checker.batch_lidar import followed, without
 from checker.files import Layer, Rejected
 from checker.lidar import Rays, View
 from checker.models import ZERO, Model, add, bound, multiply, negative, plus, scale, split, subtract
@@ -92,6 +94,13 @@ class Sensors:
             out.append([middle, *p, *a, *own, *b, *[ZERO] * n, ZERO])
         return out
 
+    def disturbed(self, scans: Balls, gone: list[int]) -> Balls:
+        """The same in doubles: from scans ``[..., rays, entries]`` without disturbance."""
+        reach = float(self.rays.reach)
+        if gone:
+            scans = without(scans, gone, reach)
+        return followed(scans, gone, reach, float(self.noise)) if self.apart else scans
+
 
 def gathered(z: Model, m: int) -> Model:
     """Return a model of m + 1 symbols: the last is all others and the rest."""
@@ -100,21 +109,17 @@ def gathered(z: Model, m: int) -> Model:
     return [*p, *a[:m], last, *b[:m], ZERO, ZERO]
 
 
-def scans(
-    sensors: Sensors, view: View, case: list[int], active: tuple[bool, bool]
-) -> list[list[Model]]:
-    """Return the readings of a row for each choice of missing rays that its case allows.
+def choices(sensors: Sensors, case: list[int], active: tuple[bool, bool]) -> list[list[int]]:
+    """Return which rays may be missing on a row together, each choice that its case allows.
 
     case: the rays that are, or (chosen at each step) may be, missing; active: whether they
     can be missing, and whether they can be there.
     """
     gone, there = (case if active[0] else []), active[1] or sensors.each_step
-    choices: list[list[int]] = [[]] if there else []
+    found: list[list[int]] = [[]] if there else []
     if not sensors.each_step:
-        choices += [gone] if gone or not there else []
-    else:
-        choices += [list(c) for k in range(sensors.missing) for c in combinations(gone, k + 1)]
-    return [sensors.readings(view, choice) for choice in choices]
+        return found + ([gone] if gone or not there else [])
+    return found + [list(c) for k in range(sensors.missing) for c in combinations(gone, k + 1)]
 
 
 def steering(answers: list[Model], m: int) -> Model:

@@ -1,4 +1,4 @@
-"""The network on many rows at once, in doubles: against exact members, and against Arb."""
+"""Models and the network in doubles: against exact members, and against Arb."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_arithmetic import filled, member, places, some
 
-from checker.batch import Batch
+from checker import balls, batch, models
+from checker.batch_network import BatchNetwork
 from checker.files import Layer
 from checker.models import KNOWN, ONE, symbols
 from checker.step import Network
@@ -50,13 +51,55 @@ def answer(network: list[Layer], scan: list[arb]) -> arb:
     return values[0]
 
 
+FUNCTIONS = {
+    "sine": (batch.sine, models.sine, lambda y: y.sin(), 0.0),
+    "cosine": (batch.cosine, models.cosine, lambda y: y.cos(), 0.0),
+    "reciprocal": (batch.reciprocal, models.reciprocal, lambda y: 1 / y, 3.0),
+    "inverse": (batch.inverse, lambda z: models.inverse_from(z, arb(0)), lambda y: 1 / y, 3.0),
+    "wide inverse": (batch.inverse, lambda z: models.inverse_from(z, arb(0)), lambda y: 1 / y, 1.9),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+@given(SEEDS, st.sampled_from([0.3, 0.1, 1e-3, 1e-9, 0.0]), SYMBOLS)
+def test_functions_contain_their_values_and_are_hardly_wider_than_arb_s(name, seed, size, count):
+    random = np.random.default_rng(seed)
+    function, slow, exact, shift = FUNCTIONS[name]
+    z = some(random, 1.0, size, count)
+    z[0] += shift
+    found = balls.to_arb(function(batch.of_models([z])).at(0))
+    for x, e, rest in places(random, count):
+        assert filled(found, exact(member(z, x, e, rest)), x, e) <= 1
+    assert float(found[-1].rad()) <= 1.01 * float(slow(z)[-1].rad()) + 1e-12
+
+
+@given(SEEDS, SIZES, SYMBOLS)
+def test_products_contain_their_values_and_are_hardly_wider_than_arb_s(seed, size, count):
+    random = np.random.default_rng(seed)
+    z, w = (some(random, 2.0, size, count) for _ in range(2))
+    both = batch.of_models([z]), batch.of_models([w])
+    found = balls.to_arb(batch.product(*both).at(0))
+    for x, e, rest in places(random, count):
+        for other in (rest, -rest):
+            exact = member(z, x, e, rest) * member(w, x, e, other)
+            assert filled(found, exact, x, e) <= 1
+    assert float(found[-1].rad()) <= 1.01 * float(models.multiply(z, w)[-1].rad()) + 1e-12
+
+
+def test_where_zero_is_not_excluded_there_is_no_reciprocal():
+    z = batch.of_models([some(np.random.default_rng(0), 0.1, 1.0)])
+    with np.errstate(all="ignore"):
+        found = [batch.reciprocal(z), batch.inverse(z)]
+    assert not any(np.isfinite(x.middle + x.radius).all() for x in found)
+
+
 @pytest.mark.parametrize("kind", VALUES)
 @given(SEEDS, SIZES, SYMBOLS)
 def test_answers_contain_those_of_all_members(kind, seed, size, count):
     random = np.random.default_rng(seed)
     network = [*layers(random, kind, [4, 6, 5]), *layers(random, "Tanh", [5, 1])]
     scan = [some(random, 2.0, size, count) for _ in range(4)]
-    (found,) = Batch(network).steering([scan])
+    (found,) = BatchNetwork(network).steering([batch.of_models(scan)])
     assert found is not None
     for x, e, rest in places(random, count):
         exact = answer(network, [member(z, x, e, rest) for z in scan])
@@ -73,7 +116,7 @@ def test_answers_are_hardly_wider_than_those_of_arb(kind, seed, size, count):
         slow = Network(network).steering(scan)
     except ArithmeticError:
         return
-    (found,) = Batch(network).steering([scan])
+    (found,) = BatchNetwork(network).steering([batch.of_models(scan)])
     assert found is not None
     assert symbols(found) == symbols(slow)
     assert float(found[-1].rad()) <= 1.05 * float(slow[-1].rad()) + 1e-12
@@ -84,9 +127,9 @@ def test_each_scan_gets_its_own_answer(seed, count):
     random = np.random.default_rng(seed)
     network = layers(random, "Tanh", [3, 4, 1])
     scans = [[some(random, 2.0, 0.01) for _ in range(3)] for _ in range(count)]
-    together = Batch(network).steering(scans)
+    together = BatchNetwork(network).steering(list(map(batch.of_models, scans)))
     for k in {0, count // 2, count - 1}:
-        (alone,) = Batch(network).steering([scans[k]])
+        (alone,) = BatchNetwork(network).steering([batch.of_models(scans[k])])
         assert alone is not None
         pairs = zip(alone, together[k], strict=True)
         assert all(abs(float((x - y).mid())) <= 1e-12 for x, y in pairs)
@@ -96,4 +139,4 @@ def test_what_overflows_has_no_answer():
     huge = Layer(np.full((1, 1), 3e38, np.float32), np.zeros(1, np.float32), "")
     scan = [some(np.random.default_rng(0), 2.0, 1.0)]
     scan[0][1] = ONE * 1e300
-    assert Batch([huge, huge]).steering([scan]) == [None]
+    assert BatchNetwork([huge, huge]).steering([batch.of_models(scan)]) == [None]

@@ -1,0 +1,226 @@
+"""The LiDAR of many rows and all rays at once, in doubles: see ``checker.lidar`` and ``batch``.
+
+Only the plain case is proved here, which nearly all readings are: one face's model is the reading
+on all of the row. The others are left to ``checker.lidar``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations, permutations
+
+import numpy as np
+from flint import arb
+from numpy.typing import NDArray
+
+from checker import balls, models
+from checker.balls import Balls, add, exact, lower, multiply, size, subtract, upper
+from checker.batch import cosine, inverse, joined, product, range_of, reciprocal, settled, sine
+from checker.lidar import NEAREST, Assumed, Face, Rays
+
+#: Numbers in an array of readings; of more, arrays do not fit the caches.
+_AT_ONCE = 1 << 18
+
+
+def readings(
+    rays: Rays, obstacles: list[list[list[float]]], states: Balls, assumed: Sequence[Assumed]
+) -> tuple[Balls, NDArray]:
+    """Return the readings ``[rows, rays, entries]`` (m), settled, and which are proved.
+
+    obstacles: of a frame; states: settled models ``[rows, 4, entries]``; assumed: by each row.
+    """
+    rows, _, entries = states.middle.shape
+    step = max(1, _AT_ONCE // (rays.count * entries))
+    with np.errstate(all="ignore"):
+        found = [
+            _Sight(rays, obstacles, states.at(slice(k, k + step)), assumed[k : k + step]).readings()
+            for k in range(0, rows, step)
+        ]
+    read, proved = zip(*found, strict=True)
+    return Balls(*map(np.concatenate, zip(*read, strict=True))), np.concatenate(proved)
+
+
+class _Sight:
+    """What the cars of some rows see of a frame's obstacles, if each row assumes some signs.
+
+    Arrays of faces have the shape ``[rows, faces]``, quantities along rays ``[rows, rays]``; a
+    pair (cos p + sin q along a ray at an angle) is a model more, ``[..., 2, entries]``.
+    """
+
+    def __init__(
+        self, rays: Rays, obstacles: list[list[list[float]]], states: Balls,
+        assumed: Sequence[Assumed],
+    ) -> None:  # fmt: skip
+        self._directions = balls.from_arb(rays.directions.entries(), (rays.count, 2))
+        self._reach, self._least = float(rays.reach), 1 / rays.reach
+        self._faces: list[Face] = [(o, k) for o, x in enumerate(obstacles) for k in range(len(x))]
+        self._of = [
+            [i for i, (other, _) in enumerate(self._faces) if other == o]
+            for o in range(len(obstacles))
+        ]
+        self._shape = states.middle.shape[0], rays.count
+        self._describe_faces([face for x in obstacles for face in x], rays.reach, states)
+        self._describe_crosses(assumed)
+
+    def _describe_faces(self, faces: list[list[float]], reach: arb, states: Balls) -> None:
+        """Note g, h and u of all faces: distances, rates, inverse distances."""
+        s, f, theta = (states.at(slice(None), None, k) for k in (0, 1, 3))
+        sin, cos = sine(theta), cosine(theta)
+        a, b, c = (exact(column[:, None]) for column in np.array(faces, dtype=float).T)
+        miss = add(multiply(a, s), multiply(b, f))
+        first = subtract(miss.at(..., slice(0, 1)), c)
+        self._miss = settled(joined([first, miss.at(..., slice(1, None))]))
+        outside = range_of(self._miss)
+        self._outside = lower(outside), upper(outside)
+        limits = np.array([_above(reach * models.length(face)) for face in faces])
+        far = self._outside[0] > limits
+        self._near = np.stack([~far[:, mine].any(axis=1) for mine in self._of], axis=1)
+        near = np.stack([self._near[:, o] for o, _ in self._faces], axis=1)
+        self._distant = near & (self._outside[0] > _above(NEAREST))
+        ahead = add(multiply(a, sin), multiply(b, cos))
+        across = subtract(multiply(a, cos), multiply(b, sin))
+        self._rates = settled(_stacked(ahead, across))
+        over = reciprocal(self._miss)
+        self._inverses = product(self._rates, over.at(slice(None), slice(None), None))
+
+    def _describe_crosses(self, assumed: Sequence[Assumed]) -> None:
+        """Note the signs of X_jk along all rays: 1 if >= 0, -1 if < 0, 0 if open; and a guess."""
+        self._signs: dict[tuple[int, int], NDArray] = {}
+        self._guesses: dict[tuple[int, int], NDArray] = {}
+        given = self._given(assumed)
+        for o, mine in enumerate(self._of):
+            if not self._near[:, o].any():
+                continue
+            for j, k in combinations(mine, 2):
+                one, other = self._rates.at(slice(None), k), self._rates.at(slice(None), j)
+                g, f = (self._miss.at(slice(None), i, None) for i in (j, k))
+                x = self._along(settled(subtract(product(one, g), product(other, f))))
+                values, sure = range_of(x), given.get((j, k), np.zeros(self._shape, dtype=int))
+                low, high = lower(values), upper(values)
+                proved = np.where(low >= 0, 1, np.where(high < 0, -1, 0))
+                turned = np.where(high <= 0, 1, np.where(low > 0, -1, 0))
+                self._signs[j, k] = np.where(sure != 0, sure, proved)
+                self._signs[k, j] = np.where(sure != 0, -sure, turned)
+                self._guesses[j, k] = np.where(sure != 0, sure, x.middle[..., 0])
+                self._guesses[k, j] = -self._guesses[j, k]
+
+    def _given(self, assumed: Sequence[Assumed]) -> dict[tuple[int, int], NDArray]:
+        """Return the signs of X_jk, j < k, that rows assume."""
+        found: dict[tuple[int, int], NDArray] = {}
+        for row, signs in enumerate(assumed):
+            for (ray, o, a, b), positive in signs.items():
+                j, k = (self._of[o][i] for i in sorted((a, b)))
+                signs_jk = found.setdefault((j, k), np.zeros(self._shape, dtype=int))
+                signs_jk[row, ray] = 1 if positive == (a < b) else -1
+        return found
+
+    def _along(self, pairs: Balls) -> Balls:
+        """Return models ``[rows, rays, entries]`` of a quantity along all rays, settled."""
+        directions, errors = self._directions
+        z, more = balls.product(directions, pairs), errors @ size(pairs)
+        return settled(Balls(z.middle, (z.radius + more) * balls.UP + balls.TINY))
+
+    # --- readings --------------------------------------------------------------------------
+
+    def readings(self) -> tuple[Balls, NDArray]:
+        """Return the readings, settled, and which are proved."""
+        inverses: dict[int, Balls] = {}
+        best, winner = np.full(self._shape, float(self._least)), np.full(self._shape, -1)
+        for mine in self._of:
+            for j in mine:
+                if not self._distant[:, j].any():
+                    continue
+                inverses[j] = self._along(self._inverses.at(slice(None), j))
+                guess = inverses[j].middle[..., 0]
+                nearer = self._distant[:, j, None] & (guess > best)
+                for k in mine:
+                    if k != j:
+                        nearer &= self._guesses[j, k] >= 0
+                best, winner = np.where(nearer, guess, best), np.where(nearer, j, winner)
+        u, proved = self._met(winner, inverses)
+        for o, mine in enumerate(self._of):
+            asked = self._near[:, o, None] & ~np.isin(winner, mine)
+            if asked.any():
+                proved &= ~asked | self._behind(u, mine, inverses)
+        read = inverse(u)
+        nothing = winner < 0
+        read.middle[nothing], read.radius[nothing] = 0, 0
+        read.middle[nothing, 0] = self._reach
+        return read, proved & np.isfinite(read.middle + read.radius).all(axis=-1)
+
+    def _met(self, winner: NDArray, inverses: dict[int, Balls]) -> tuple[Balls, NDArray]:
+        """Return 1 / reading if nothing else is hit before, and whether the winner surely is.
+
+        winner: a face, or -1: what is in range is not hit.
+        """
+        least = balls.from_arb([self._least], (1,))
+        entries = self._miss.middle.shape[-1]
+        u = Balls(*(np.zeros((*self._shape, entries)) for _ in range(2)))
+        u.middle[..., 0], u.radius[..., -1] = least
+        proved = np.ones(self._shape, dtype=bool)
+        for j, model in inverses.items():
+            mine = winner == j
+            u.middle[mine], u.radius[mine] = model.middle[mine], model.radius[mine]
+            for k in self._of[self._faces[j][0]]:
+                if k != j:
+                    proved &= ~mine | (self._signs[j, k] > 0)
+        return u, proved & ((winner < 0) | (lower(range_of(u)) >= upper(least)))
+
+    def _behind(self, u: Balls, faces: list[int], inverses: dict[int, Balls]) -> NDArray:
+        """Tell whether an obstacle is missed, or hit at an inverse distance of at most u."""
+        found = np.zeros(self._shape, dtype=bool)
+        for k in faces:
+            if k in inverses:
+                more = upper(range_of(settled(subtract(inverses[k], u))))
+                found |= self._distant[:, k, None] & (more <= 0)
+        outside, beyond = self._outside[0] > 0, self._outside[1] <= 0
+        leaves = {
+            k: upper(range_of(self._along(self._rates.at(slice(None), k)))) <= 0 for k in faces
+        }
+        for j in faces:
+            found |= outside[:, j, None] & leaves[j]
+        for j, k in permutations(faces, 2):
+            passes = (beyond[:, k, None] | leaves[k]) & (self._signs[j, k] < 0)
+            found |= outside[:, j, None] & passes
+        return found
+
+
+def without(scans: Balls, gone: Sequence[int], reach: float) -> Balls:
+    """Return scans ``[..., rays, entries]`` with rays missing, which read the reach."""
+    middle, radius = scans.middle.copy(), scans.radius.copy()
+    middle[..., gone, :], radius[..., gone, :] = 0, 0
+    middle[..., gone, 0] = reach
+    return Balls(middle, radius)
+
+
+def followed(scans: Balls, gone: Sequence[int], reach: float, noise: float) -> Balls:
+    """Return scans with noise and rest of each reading as a symbol more, but of missing rays.
+
+    As ``checker.step.Sensors.readings``.
+    """
+    *shape, n, entries = scans.middle.shape
+    m = (entries - models.TERMS - 1) // 2
+    first = models.TERMS + m
+    there = np.ones(n, dtype=bool)
+    there[gone] = False
+    own = np.where(there, (scans.radius[..., -1] + noise) * balls.UP + balls.TINY, 0.0)
+    middle = np.zeros((*shape, n, entries + 2 * n))
+    middle[..., :first] = scans.middle[..., :first]
+    middle[..., first + n : first + n + m] = scans.middle[..., first:-1]
+    values = range_of(scans)
+    # Cut off at the reach.
+    cut = there & ~scans.middle[..., 1:].any(axis=-1) & ~(upper(values) < reach)
+    low = lower(subtract(exact(lower(values)), exact(np.array(noise))))
+    ball = balls.between(low, np.full_like(low, reach))
+    middle[cut, 0], own[cut] = ball.middle[cut], ball.radius[cut]
+    middle[..., np.arange(n), first + np.arange(n)] = own
+    return exact(middle)
+
+
+def _stacked(first: Balls, second: Balls) -> Balls:
+    return Balls(*(np.stack(pair, axis=-2) for pair in zip(first, second, strict=True)))
+
+
+def _above(value: arb) -> float:
+    """Return a double of at least a number's value, which is not negative."""
+    return float(value.upper()) * balls.UP
