@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import click
+from threadpoolctl import threadpool_limits
 
 from racecar.command_line import Commands, print_json
 from verifier.check_command import check
@@ -15,6 +17,10 @@ from verifier.table1_command import table1
 @click.group(cls=Commands)
 def main() -> None:
     """Prove or refute instances: the reference verifier."""
+    # Its matrices are small: threads would wait for each other, at twice the CPU time where
+    # another program runs beside. The second is for the processes of --jobs.
+    threadpool_limits(limits=1)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @main.command()

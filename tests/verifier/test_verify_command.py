@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from enclosed import TRACKS, zero_controller
 from instances import everywhere, question, save
+from threadpoolctl import threadpool_info
 
 from harness.records import WitnessOutcome
 from harness.replay import check_file
@@ -206,3 +207,8 @@ def test_an_instance_with_its_own_unsafe_set(folder, capsys):
     answer = json.loads(out)
     assert answer["verdict"] == "unsat"
     assert 0 < answer["margin_lower"] <= 0.0001 + 1e-12
+
+
+def test_matrices_are_multiplied_on_one_thread(folder, capsys):
+    run(capsys, "verify", "nothing.json")
+    assert all(pool["num_threads"] == 1 for pool in threadpool_info())
