@@ -7,7 +7,7 @@ on all of the row. The others are left to ``checker.lidar``.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations, permutations
+from itertools import permutations
 
 import numpy as np
 from flint import arb
@@ -60,10 +60,11 @@ class _Sight:
         ]
         self._shape = states.middle.shape[0], rays.count
         self._describe_faces([face for x in obstacles for face in x], rays.reach, states)
-        self._describe_crosses(assumed)
+        self._given = self._take(assumed)
+        self._signs: dict[tuple[int, int], tuple[NDArray, NDArray]] = {}
 
     def _describe_faces(self, faces: list[list[float]], reach: arb, states: Balls) -> None:
-        """Note g, h and u of all faces: distances, rates, inverse distances."""
+        """Note g and h of all faces, and u of distant ones: distances, rates, inverse distances."""
         s, f, theta = (states.at(slice(None), None, k) for k in (0, 1, 3))
         sin, cos = sine(theta), cosine(theta)
         a, b, c = (exact(column[:, None]) for column in np.array(faces, dtype=float).T)
@@ -81,30 +82,65 @@ class _Sight:
         across = subtract(multiply(a, cos), multiply(b, sin))
         self._rates = settled(_stacked(ahead, across))
         over = reciprocal(self._miss)
-        self._inverses = product(self._rates, over.at(slice(None), slice(None), None))
+        inverses = product(self._rates, over.at(slice(None), slice(None), None))
+        self._inverses = {
+            k: inverses.at(slice(None), k) for k in range(len(faces)) if self._distant[:, k].any()
+        }
 
-    def _describe_crosses(self, assumed: Sequence[Assumed]) -> None:
-        """Note the signs of X_jk along all rays: 1 if >= 0, -1 if < 0, 0 if open; and a guess."""
-        self._signs: dict[tuple[int, int], NDArray] = {}
-        self._guesses: dict[tuple[int, int], NDArray] = {}
-        given = self._given(assumed)
-        for o, mine in enumerate(self._of):
-            if not self._near[:, o].any():
-                continue
-            for j, k in combinations(mine, 2):
-                one, other = self._rates.at(slice(None), k), self._rates.at(slice(None), j)
-                g, f = (self._miss.at(slice(None), i, None) for i in (j, k))
-                x = self._along(settled(subtract(product(one, g), product(other, f))))
-                values, sure = range_of(x), given.get((j, k), np.zeros(self._shape, dtype=int))
-                low, high = lower(values), upper(values)
-                proved = np.where(low >= 0, 1, np.where(high < 0, -1, 0))
-                turned = np.where(high <= 0, 1, np.where(low > 0, -1, 0))
-                self._signs[j, k] = np.where(sure != 0, sure, proved)
-                self._signs[k, j] = np.where(sure != 0, -sure, turned)
-                self._guesses[j, k] = np.where(sure != 0, sure, x.middle[..., 0])
-                self._guesses[k, j] = -self._guesses[j, k]
+    # --- quantities along rays -------------------------------------------------------------
 
-    def _given(self, assumed: Sequence[Assumed]) -> dict[tuple[int, int], NDArray]:
+    def _along(self, pairs: Balls) -> Balls:
+        """Return models ``[rows, rays, entries]`` of a quantity along all rays, settled."""
+        directions, errors = self._directions
+        z, more = balls.product(directions, pairs), errors @ size(pairs)
+        return settled(Balls(z.middle, (z.radius + more) * balls.UP + balls.TINY))
+
+    def _middles(self, pairs: Balls) -> NDArray:
+        """Return a quantity at the middle of rows; a guide, no proof."""
+        return np.asarray(pairs.middle[..., 0] @ self._directions.middle.T)
+
+    def _ranges(self, pairs: Balls) -> Balls:
+        """Return balls with all values of a quantity along all rays, pairs settled.
+
+        As ``range_of(self._along(pairs))``, with the errors of all entries in one sum: of the
+        product of two terms, of the directions, and those that count entries.
+        """
+        directions, errors = self._directions
+        z = directions @ pairs.middle
+        sizes, entries = np.abs(z), z.shape[-1]
+        share = np.ones(entries)  # of what an entry moves to both sides
+        share[[0, 2, 4]] = 0, 0.5, 0.5  # x^2 and x^4 are in [0, 1]
+        middle = z @ (1 - share)
+        reach = np.abs(directions) + errors
+        lost = (np.abs(pairs.middle).sum(-1) @ (errors + 4 * balls.U * reach).T) + (
+            pairs.radius[..., -1] @ reach.T
+        )
+        stray = sizes @ share + 4 * balls.U * (sizes @ (1 - share)) + lost
+        return Balls(middle, stray * (1 + 2 * (entries + 8) * balls.U) * balls.UP + balls.TINY)
+
+    def _cross(self, j: int, k: int) -> Balls:
+        """Return the pairs of X_jk."""
+        one, other = self._rates.at(slice(None), k), self._rates.at(slice(None), j)
+        g, f = (self._miss.at(slice(None), i, None) for i in (j, k))
+        return settled(subtract(product(one, g), product(other, f)))
+
+    def _sign(self, j: int, k: int) -> tuple[NDArray, NDArray]:
+        """Return 1 where X_jk >= 0 along rays is assumed or proved, -1 where < 0, 0 where open.
+
+        The second array is a guess of X_jk that has the assumed signs.
+        """
+        if (j, k) not in self._signs:
+            a, b = min(j, k), max(j, k)
+            pairs, sure = self._cross(a, b), self._given.get((a, b), np.zeros((), dtype=int))
+            values, guess = self._ranges(pairs), np.where(sure != 0, sure, self._middles(pairs))
+            low, high = lower(values), upper(values)
+            signs = np.where(low >= 0, 1, np.where(high < 0, -1, 0))
+            turned = np.where(high <= 0, 1, np.where(low > 0, -1, 0))
+            self._signs[a, b] = np.where(sure != 0, sure, signs), guess
+            self._signs[b, a] = np.where(sure != 0, -sure, turned), -guess
+        return self._signs[j, k]
+
+    def _take(self, assumed: Sequence[Assumed]) -> dict[tuple[int, int], NDArray]:
         """Return the signs of X_jk, j < k, that rows assume."""
         found: dict[tuple[int, int], NDArray] = {}
         for row, signs in enumerate(assumed):
@@ -114,74 +150,79 @@ class _Sight:
                 signs_jk[row, ray] = 1 if positive == (a < b) else -1
         return found
 
-    def _along(self, pairs: Balls) -> Balls:
-        """Return models ``[rows, rays, entries]`` of a quantity along all rays, settled."""
-        directions, errors = self._directions
-        z, more = balls.product(directions, pairs), errors @ size(pairs)
-        return settled(Balls(z.middle, (z.radius + more) * balls.UP + balls.TINY))
-
     # --- readings --------------------------------------------------------------------------
 
     def readings(self) -> tuple[Balls, NDArray]:
         """Return the readings, settled, and which are proved."""
-        inverses: dict[int, Balls] = {}
-        best, winner = np.full(self._shape, float(self._least)), np.full(self._shape, -1)
-        for mine in self._of:
-            for j in mine:
-                if not self._distant[:, j].any():
-                    continue
-                inverses[j] = self._along(self._inverses.at(slice(None), j))
-                guess = inverses[j].middle[..., 0]
-                nearer = self._distant[:, j, None] & (guess > best)
-                for k in mine:
-                    if k != j:
-                        nearer &= self._guesses[j, k] >= 0
-                best, winner = np.where(nearer, guess, best), np.where(nearer, j, winner)
-        u, proved = self._met(winner, inverses)
+        winner = self._winners()
+        u, proved = self._met(winner)
         for o, mine in enumerate(self._of):
             asked = self._near[:, o, None] & ~np.isin(winner, mine)
-            if asked.any():
-                proved &= ~asked | self._behind(u, mine, inverses)
+            proved &= ~asked | self._behind(winner, mine, asked)
         read = inverse(u)
         nothing = winner < 0
         read.middle[nothing], read.radius[nothing] = 0, 0
         read.middle[nothing, 0] = self._reach
         return read, proved & np.isfinite(read.middle + read.radius).all(axis=-1)
 
-    def _met(self, winner: NDArray, inverses: dict[int, Balls]) -> tuple[Balls, NDArray]:
-        """Return 1 / reading if nothing else is hit before, and whether the winner surely is.
+    def _winners(self) -> NDArray:
+        """Return the face that each ray meets from the middle of each row, or -1; a guess."""
+        best, winner = np.full(self._shape, float(self._least)), np.full(self._shape, -1)
+        for mine in self._of:
+            for j in filter(self._inverses.__contains__, mine):
+                guess = self._middles(self._inverses[j])
+                nearer = self._distant[:, j, None] & (guess > best)
+                for k in mine:
+                    if k != j:
+                        nearer &= self._sign(j, k)[1] >= 0
+                best, winner = np.where(nearer, guess, best), np.where(nearer, j, winner)
+        return winner
 
-        winner: a face, or -1: what is in range is not hit.
-        """
+    def _met(self, winner: NDArray) -> tuple[Balls, NDArray]:
+        """Return 1 / reading if nothing else is hit before, and whether the winner surely is."""
         least = balls.from_arb([self._least], (1,))
         entries = self._miss.middle.shape[-1]
         u = Balls(*(np.zeros((*self._shape, entries)) for _ in range(2)))
         u.middle[..., 0], u.radius[..., -1] = least
         proved = np.ones(self._shape, dtype=bool)
-        for j, model in inverses.items():
+        for j, pairs in self._inverses.items():
             mine = winner == j
+            if not mine.any():
+                continue
+            model = self._along(pairs)
             u.middle[mine], u.radius[mine] = model.middle[mine], model.radius[mine]
+            proved &= ~mine | (lower(self._ranges(pairs)) >= upper(least))
             for k in self._of[self._faces[j][0]]:
                 if k != j:
-                    proved &= ~mine | (self._signs[j, k] > 0)
-        return u, proved & ((winner < 0) | (lower(range_of(u)) >= upper(least)))
+                    proved &= ~mine | (self._sign(j, k)[0] > 0)
+        return u, proved
 
-    def _behind(self, u: Balls, faces: list[int], inverses: dict[int, Balls]) -> NDArray:
-        """Tell whether an obstacle is missed, or hit at an inverse distance of at most u."""
+    def _behind(self, winner: NDArray, faces: list[int], asked: NDArray) -> NDArray:
+        """Tell where an obstacle is missed, or hit no nearer than the winner or the range."""
         found = np.zeros(self._shape, dtype=bool)
-        for k in faces:
-            if k in inverses:
-                more = upper(range_of(settled(subtract(inverses[k], u))))
-                found |= self._distant[:, k, None] & (more <= 0)
-        outside, beyond = self._outside[0] > 0, self._outside[1] <= 0
-        leaves = {
-            k: upper(range_of(self._along(self._rates.at(slice(None), k)))) <= 0 for k in faces
-        }
+        for k in filter(self._inverses.__contains__, faces):
+            v, open_ = self._inverses[k], asked & self._distant[:, k, None]
+            if (open_ & (winner < 0)).any():
+                beyond = upper(self._ranges(v)) <= lower(balls.from_arb([self._least], (1,)))
+                found |= open_ & (winner < 0) & beyond
+            for j, u in self._inverses.items():
+                mine = open_ & (winner == j) & ~found
+                if mine.any():
+                    found |= mine & (upper(self._ranges(settled(subtract(v, u)))) <= 0)
+        if (asked & ~found).any():
+            found |= self._passes(faces)
+        return found
+
+    def _passes(self, faces: list[int]) -> NDArray:
+        """Tell where rays surely miss an obstacle: see ``checker.lidar.View._passes``."""
+        outside, within = self._outside[0] > 0, self._outside[1] <= 0
+        leaves = {k: upper(self._ranges(self._rates.at(slice(None), k))) <= 0 for k in faces}
+        found = np.zeros(self._shape, dtype=bool)
         for j in faces:
             found |= outside[:, j, None] & leaves[j]
         for j, k in permutations(faces, 2):
-            passes = (beyond[:, k, None] | leaves[k]) & (self._signs[j, k] < 0)
-            found |= outside[:, j, None] & passes
+            beyond = within[:, k, None] | leaves[k]
+            found |= outside[:, j, None] & beyond & (self._sign(j, k)[0] < 0)
         return found
 
 
