@@ -25,7 +25,8 @@ from checker.files import Layer
 from checker.models import Model
 
 _BEND = 0.384900179459751  # more than 2 / (3 sqrt(3)), the largest |tanh''| / 2
-_AT_ONCE = 32  # scans; of more, arrays do not fit the caches
+#: Scans; of more, arrays do not fit the caches.
+AT_ONCE = 32
 _LARGE = 0.01  # errors beyond which lines may be better than series
 
 
@@ -43,8 +44,8 @@ class BatchNetwork:
         scans: settled models ``[rays, entries]``, all of the same symbols.
         """
         out: list[Model | None] = []
-        for k in range(0, len(scans), _AT_ONCE):
-            out += self._steering(scans[k : k + _AT_ONCE])
+        for k in range(0, len(scans), AT_ONCE):
+            out += self._steering(scans[k : k + AT_ONCE])
         return out
 
     def _steering(self, scans: Sequence[Balls]) -> list[Model | None]:

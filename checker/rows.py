@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 from flint import arb
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from checker.balls import Balls
 from checker.batch import of_models, of_rows
 from checker.batch_lidar import readings
-from checker.batch_network import BatchNetwork
+from checker.batch_network import AT_ONCE, BatchNetwork
 from checker.files import Certificate, GuardKind, Instance, Kind, Rejected, Row, Unreadable, require
 from checker.forest import WIDER, Assumed, Forest
 from checker.inclusion import (
@@ -188,15 +189,13 @@ class Checker:
 
     def _answers(self, indices: list[int]) -> dict[int, list[Model]]:
         """Return the network's answers to the scans of rows, of those for which it has bounds."""
-        asked = list(self._scans_ahead(indices))
-        out: dict[int, list[Model]] = {i: [] for i, _ in asked}
-        answers = self._batch.steering([scan for _, scan in asked])
-        for (i, _), answer in zip(asked, answers, strict=True):
-            if answer is None:
-                out.pop(i, None)
-            elif i in out:
-                out[i].append(answer)
-        return out
+        ahead, found = self._scans_ahead(indices), dict[int, list[Model | None]]()
+        while batch := list(islice(ahead, AT_ONCE)):
+            answers = self._batch.steering([scan for _, scan in batch])
+            for (i, _), answer in zip(batch, answers, strict=True):
+                found.setdefault(i, []).append(answer)
+        known = ((i, [x for x in answers if x is not None]) for i, answers in found.items())
+        return {i: answers for i, answers in known if len(answers) == len(found[i])}
 
     def _scans_ahead(self, indices: list[int]) -> Iterator[tuple[int, Balls]]:
         """Yield what the network may read on rows, for all choices, if all of it has bounds."""
