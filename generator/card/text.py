@@ -134,12 +134,21 @@ def _tally(category: CategoryFacts) -> _Tally:
         len(category.instances) - len(category.results),
         _range(proved),
         _range(found),
-        f"{statistics.median(times):.2g} / {max(times):.2g}" if times else "",
+        f"{_seconds(statistics.median(times))} / {_seconds(max(times))}" if times else "",
     )
 
 
 def _range(margins: Sequence[float]) -> str:
-    return f"{min(margins):.4f} to {max(margins):.4f}" if margins else ""
+    return f"{_metres(min(margins))} to {_metres(max(margins))}" if margins else ""
+
+
+def _metres(margin: float) -> str:
+    """Return a margin with four decimals, or with one digit where these would be zeros."""
+    return f"{margin:.4f}" if abs(margin) >= 0.00005 else f"{margin:.0e}"
+
+
+def _seconds(time: float) -> str:
+    return f"{time:.0f}" if time >= 10 else f"{time:.1f}"
 
 
 def _reading(root: Path) -> str:
