@@ -13,9 +13,10 @@ from typing import Any
 import h5py
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from generator.card.facts import Dataset
 from generator.categories import CATEGORIES
@@ -234,6 +235,7 @@ def _draw_difficulty(rows: list[dict[str, Any]]) -> Figure:
             ]
             _scatter(axes, points, colour, verdict)
         axes.set_xscale("log")
+        _label_decades(axes.xaxis)
         axes.set_xlabel(label, fontsize=9)
         axes.grid(lw=0.3)
     panels[0].set_yscale("log")
@@ -242,6 +244,13 @@ def _draw_difficulty(rows: list[dict[str, Any]]) -> Figure:
     figure.suptitle("Difficulty: time against rays, network size and width", fontsize=11)
     draw_legend(figure, list(panels[0].get_legend_handles_labels()[0]))
     return figure
+
+
+def _label_decades(axis: Axis) -> None:
+    """Label 1, 2 and 5 times powers of ten with plain numbers."""
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}" if x < 10_000 else f"{x:,.0f}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _scatter(axes: Axes, points: list[tuple[float, float]], colour: str, label: str) -> None:
