@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from checker.batch import of_rows
 from checker.batch_lidar import readings
-from checker.batch_network import BatchNetwork
+from checker.batch_network import AT_ONCE, BatchNetwork
 from checker.files import Kind, read_certificate, read_instance
 from checker.inclusion import state_of
 from checker.rows import Checker
@@ -57,7 +57,9 @@ def main() -> None:
     scans, slow_lidar = timed(lambda: [checker.sensors.readings(view, []) for view in views])
     noisy = checker.sensors.disturbed(read, [])
     network = BatchNetwork(instance.layers)
-    quick, fast = timed(lambda: network.steering([noisy.at(k) for k in range(len(chosen))]))
+    ahead = [noisy.at(k) for k in range(len(chosen))]
+    parts = [ahead[k : k + AT_ONCE] for k in range(0, len(ahead), AT_ONCE)]
+    quick, fast = timed(lambda: [y for part in parts for y in network.steering(part)])
     exact, slow = timed(lambda: list(map(Network(instance.layers).steering, scans)))
     more = max(
         float(a[-1].rad()) - float(b[-1].rad())

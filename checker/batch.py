@@ -74,7 +74,7 @@ def upper_sum(terms: list[NDArray]) -> NDArray:
     return balls.upper(balls.total(exact(np.concatenate(terms, axis=-1))))
 
 
-def magnitude(x: Balls) -> NDArray:
+def _magnitude(x: Balls) -> NDArray:
     """Return upper bounds of the sums of absolute values along the last axis."""
     return upper_sum([size(x)])
 
@@ -89,7 +89,7 @@ def from_zero(bound: NDArray) -> Balls:
     return between(np.zeros_like(bound), bound)
 
 
-def everywhere(p: list[Balls]) -> list[Balls]:
+def _everywhere(p: list[Balls]) -> list[Balls]:
     """Return the coefficients in powers of t of p(x + t), for all x of [-1, 1] at once."""
     out = []
     for k in range(TERMS):
@@ -106,16 +106,13 @@ def everywhere(p: list[Balls]) -> list[Balls]:
     return [*out, exact(np.zeros_like(p[0].middle))]
 
 
-def composed(g: list[Balls], p: list[Balls], n: int) -> list[Balls]:
+def _composed(g: list[Balls], p: list[Balls], n: int) -> list[Balls]:
     """Return orders 0 to n of g(p(t)), from the Taylor coefficients of g at p(0)."""
     out = [g[n]]
     for k in range(n - 1, -1, -1):
         longer = [g[k]]
         for order in range(1, n - k + 1):
-            terms = [multiply(p[j], out[order - j]) for j in range(1, order + 1)]
-            for term in terms[1:]:
-                terms[0] = add(terms[0], term)
-            longer.append(terms[0])
+            longer.append(_added([multiply(p[j], out[order - j]) for j in range(1, order + 1)]))
         out = longer
     return out
 
@@ -124,26 +121,26 @@ def apply(z: Balls, taylor: Taylor) -> Balls:
     """Return models of g(z), g an analytic function, z settled: the rules of models._apply."""
     p, a, b, rest = parts(z)
     g = taylor(p[0], TERMS - 1)
-    q = everywhere(p)
+    q = _everywhere(p)
     h = taylor(q[0], TERMS)
-    sixth = composed(h, q, TERMS)[TERMS]
+    sixth = _composed(h, q, TERMS)[TERMS]
     second = add(times(multiply(h[2], q[2]), 2), times(multiply(h[3], multiply(q[1], q[1])), 3))
-    size_b = magnitude(b)
-    all_symbols = raised(magnitude(a) + size_b)
-    stray = raised(all_symbols + rest)
+    size_b = _magnitude(b)
+    all_symbols = raised(_magnitude(a) + size_b)
+    most = raised(all_symbols + rest)
     d0, d1 = g[1], times(multiply(g[2], p[1]), 2)
-    sixth = multiply(sixth, between(np.zeros_like(stray), np.ones_like(stray)))
+    sixth = multiply(sixth, between(np.zeros_like(most), np.ones_like(most)))
     mixed = around(raised(size(d1) * size_b + size(second) * all_symbols))
     cut = add(add(sixth, multiply(h[1], around(rest))), mixed)
-    whole = taylor(add(q[0], around(stray)), 3)
-    square = raised(stray * stray)
-    last, bend = multiply(whole[2], from_zero(square)), exact(np.zeros_like(stray))
+    whole = taylor(add(q[0], around(most)), 3)
+    square = raised(most * most)
+    last, bend = multiply(whole[2], from_zero(square)), exact(np.zeros_like(most))
     if a.middle.shape[-1] >= KNOWN:
-        line = magnitude(a.at(..., slice(0, BASE)))
-        other = raised(magnitude(a.at(..., slice(BASE, None))) + size_b + rest)
+        line = _magnitude(a.at(..., slice(0, BASE)))
+        other = raised(_magnitude(a.at(..., slice(BASE, None))) + size_b + rest)
         off = times(multiply(h[3], subtract(q[0], p[0])), 3)
         bent = multiply(off, from_zero(square))
-        bent = add(bent, multiply(whole[3], around(raised(square * stray))))
+        bent = add(bent, multiply(whole[3], around(raised(square * most))))
         bent = add(bent, multiply(g[2], around(raised(2 * line * other))))
         bent = add(bent, multiply(g[2], from_zero(raised(other * other))))
         better = size(bent) < size(last)
@@ -154,7 +151,7 @@ def apply(z: Balls, taylor: Taylor) -> Balls:
     if a.middle.shape[-1] >= KNOWN:
         products, more = _products(a, multiply(bend.at(..., None), a))
         first, cut = _with_products(first, products), add(cut, more)
-    return plus([*composed(g, p, TERMS - 1), first, both], cut)
+    return plus([*_composed(g, p, TERMS - 1), first, both], cut)
 
 
 def product(z: Balls, w: Balls) -> Balls:
@@ -172,13 +169,13 @@ def product(z: Balls, w: Balls) -> Balls:
     second = _added([
         times_all(p[1], c), times_all(q[1], a), times_all(p[0], d), times_all(q[0], b)
     ])  # fmt: skip
-    size_b, size_d = magnitude(b), magnitude(d)
-    size_z, size_w = raised(magnitude(a) + size_b), raised(magnitude(c) + size_d)
+    size_b, size_d = _magnitude(b), _magnitude(d)
+    size_z, size_w = raised(_magnitude(a) + size_b), raised(_magnitude(c) + size_d)
     cut = [size(x) for x in full[TERMS:]]
     if a.middle.shape[-1] >= KNOWN:
-        line = magnitude(a.at(..., slice(0, BASE)))
-        other_z = raised(magnitude(a.at(..., slice(BASE, None))) + size_b)
-        other_w = raised(magnitude(c.at(..., slice(BASE, None))) + size_d)
+        line = _magnitude(a.at(..., slice(0, BASE)))
+        other_z = raised(_magnitude(a.at(..., slice(BASE, None))) + size_b)
+        other_w = raised(_magnitude(c.at(..., slice(BASE, None))) + size_d)
         cut += [other_z * size_w, line * other_w]
         products, constant = _products(a, c)
         full[0] = add(full[0], constant)
@@ -231,11 +228,15 @@ def chosen(which: NDArray, x: Balls, y: Balls) -> Balls:
     return Balls(np.where(which, x.middle, y.middle), np.where(which, x.radius, y.radius))
 
 
+def stray(z: Balls) -> NDArray:
+    """Return how far settled models may be from their polynomials in x."""
+    _, a, b, rest = parts(z)
+    return upper_sum([size(a), size(b), rest[..., None]])
+
+
 def range_of(z: Balls) -> Balls:
     """Return balls with all values of settled models."""
-    p, a, b, rest = parts(z)
-    stray = upper_sum([size(a), size(b), rest[..., None]])
-    return add(everywhere(p)[0], around(stray))
+    return add(_everywhere(parts(z)[0])[0], around(stray(z)))
 
 
 def scaled(z: Balls, slope: Balls, value: Balls) -> Balls:

@@ -51,8 +51,8 @@ class _Sight:
         self, rays: Rays, obstacles: list[list[list[float]]], states: Balls,
         assumed: Sequence[Assumed],
     ) -> None:  # fmt: skip
-        self._directions = balls.from_arb(rays.directions.entries(), (rays.count, 2))
-        self._reach, self._least = float(rays.reach), 1 / rays.reach
+        self._directions = rays.directions_in_doubles
+        self._reach, self._least = float(rays.reach), balls.from_arb([1 / rays.reach], (1,))
         self._faces: list[Face] = [(o, k) for o, x in enumerate(obstacles) for k in range(len(x))]
         self._of = [
             [i for i, (other, _) in enumerate(self._faces) if other == o]
@@ -167,7 +167,7 @@ class _Sight:
 
     def _winners(self) -> NDArray:
         """Return the face that each ray meets from the middle of each row, or -1; a guess."""
-        best, winner = np.full(self._shape, float(self._least)), np.full(self._shape, -1)
+        best, winner = np.full(self._shape, self._least.middle), np.full(self._shape, -1)
         for mine in self._of:
             for j in filter(self._inverses.__contains__, mine):
                 guess = self._middles(self._inverses[j])
@@ -180,10 +180,9 @@ class _Sight:
 
     def _met(self, winner: NDArray) -> tuple[Balls, NDArray]:
         """Return 1 / reading if nothing else is hit before, and whether the winner surely is."""
-        least = balls.from_arb([self._least], (1,))
         entries = self._miss.middle.shape[-1]
         u = Balls(*(np.zeros((*self._shape, entries)) for _ in range(2)))
-        u.middle[..., 0], u.radius[..., -1] = least
+        u.middle[..., 0], u.radius[..., -1] = self._least
         proved = np.ones(self._shape, dtype=bool)
         for j, pairs in self._inverses.items():
             mine = winner == j
@@ -191,7 +190,7 @@ class _Sight:
                 continue
             model = self._along(pairs)
             u.middle[mine], u.radius[mine] = model.middle[mine], model.radius[mine]
-            proved &= ~mine | (lower(self._ranges(pairs)) >= upper(least))
+            proved &= ~mine | (lower(self._ranges(pairs)) >= upper(self._least))
             for k in self._of[self._faces[j][0]]:
                 if k != j:
                     proved &= ~mine | (self._sign(j, k)[0] > 0)
@@ -203,7 +202,7 @@ class _Sight:
         for k in filter(self._inverses.__contains__, faces):
             v, open_ = self._inverses[k], asked & self._distant[:, k, None]
             if (open_ & (winner < 0)).any():
-                beyond = upper(self._ranges(v)) <= lower(balls.from_arb([self._least], (1,)))
+                beyond = upper(self._ranges(v)) <= lower(self._least)
                 found |= open_ & (winner < 0) & beyond
             for j, u in self._inverses.items():
                 mine = open_ & (winner == j) & ~found

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from checker import balls
-from checker.balls import Balls, add, between, exact, multiply, size, subtract, times
+from checker.balls import Balls, add, between, exact, multiply, subtract, times
 from checker.batch import (
     apply,
     chosen,
@@ -19,7 +19,7 @@ from checker.batch import (
     range_of,
     scaled,
     settled,
-    upper_sum,
+    stray,
 )
 from checker.files import Layer
 from checker.models import Model
@@ -41,14 +41,8 @@ class BatchNetwork:
     def steering(self, scans: Sequence[Balls]) -> list[Model | None]:
         """Return the steering (rad) for each scan (m), None where it has no bounds.
 
-        scans: settled models ``[rays, entries]``, all of the same symbols.
+        scans: settled models ``[rays, entries]``, all of the same symbols; best AT_ONCE of them.
         """
-        out: list[Model | None] = []
-        for k in range(0, len(scans), AT_ONCE):
-            out += self._steering(scans[k : k + AT_ONCE])
-        return out
-
-    def _steering(self, scans: Sequence[Balls]) -> list[Model | None]:
         z = Balls(*map(np.array, zip(*scans, strict=True)))
         with np.errstate(all="ignore"):
             for weights, biases, activation in self._layers:
@@ -83,8 +77,7 @@ def _tanh_taylor(y: Balls, n: int) -> list[Balls]:
 def _tanh(z: Balls) -> Balls:
     """Return the hyperbolic tangents: by their series, or by lines where errors are large."""
     series = apply(z, _tanh_taylor)
-    _, a, b, rest = parts(z)
-    large = upper_sum([size(a), size(b), rest[..., None]]) > _LARGE
+    large = stray(z) > _LARGE
     if not large.any():
         return series
     line = _tanh_line(z)

@@ -15,6 +15,7 @@ from typing import Any
 from flint import arb, arb_mat
 
 from checker import models
+from checker.balls import from_arb
 from checker.files import require
 from checker.models import Model, add, bound, multiply, plus, scale, subtract
 
@@ -37,6 +38,7 @@ class Rays:
         fov = arb(lidar["field_of_view"])
         angles = [fov * i / (self.count - 1) - fov / 2 for i in range(self.count)]
         self.directions = arb_mat([[a.cos(), a.sin()] for a in angles])
+        self.directions_in_doubles = from_arb(self.directions.entries(), (self.count, 2))
 
 
 def _once(method: Callable[..., Any]) -> Callable[..., Any]:

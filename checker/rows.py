@@ -189,13 +189,15 @@ class Checker:
 
     def _answers(self, indices: list[int]) -> dict[int, list[Model]]:
         """Return the network's answers to the scans of rows, of those for which it has bounds."""
-        ahead, found = self._scans_ahead(indices), dict[int, list[Model | None]]()
+        ahead, found, lost = self._scans_ahead(indices), dict[int, list[Model]](), set[int]()
         while batch := list(islice(ahead, AT_ONCE)):
             answers = self._batch.steering([scan for _, scan in batch])
             for (i, _), answer in zip(batch, answers, strict=True):
-                found.setdefault(i, []).append(answer)
-        known = ((i, [x for x in answers if x is not None]) for i, answers in found.items())
-        return {i: answers for i, answers in known if len(answers) == len(found[i])}
+                if answer is None:
+                    lost.add(i)
+                else:
+                    found.setdefault(i, []).append(answer)
+        return {i: answers for i, answers in found.items() if i not in lost}
 
     def _scans_ahead(self, indices: list[int]) -> Iterator[tuple[int, Balls]]:
         """Yield what the network may read on rows, for all choices, if all of it has bounds."""

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
 from checker.files import Rejected, read_certificate, read_instance
 from checker.rows import Checker
 
@@ -37,7 +35,6 @@ class Report:
     reason: str = ""
 
 
-@threadpool_limits.wrap(limits=1)  # its matrices are small: threads wait for each other
 def check(
     certificate: Path, instance: Path, sample: int | None = None, seed: int = 0, jobs: int = 1,
     report: Callable[[float], None] = lambda share: None,
@@ -88,7 +85,6 @@ def _read_checker(certificate: Path, instance: Path) -> Checker:
     return Checker(read_certificate(certificate), read_instance(instance))
 
 
-@threadpool_limits.wrap(limits=1)
 def _check_again(certificate: Path, instance: Path, rows: list[int]) -> tuple[int, str]:
     """Check rows in another process, which reads the files once."""
     return _check_rows(_read_checker(certificate, instance), rows)

@@ -99,7 +99,7 @@ def _run_round(
     proved = []
     for question in batch:
         outcome = outcomes[question.id]
-        if outcome.record.verdict == "unsat" and work.certificate(question.id).is_file():
+        if work.certified(outcome):
             proved.append(question)
         elif outcome.witness is not None:
             _try_witness(question, outcome.witness, question, outcome, results)

@@ -27,7 +27,7 @@ def make_queries(
     for entry in entries:
         outcome = outcomes[entry.id]
         results.rows[entry.id] = open_row(entry.id, outcome)
-        if outcome.record.verdict == "unsat" and work.certificate(entry.id).is_file():
+        if work.certified(outcome):
             proved.append(entry)
         elif outcome.witness is not None:
             _take_witness(entry, outcome, outcome.witness, results)

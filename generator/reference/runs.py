@@ -81,6 +81,12 @@ class Work:
         """Return where the certificate of an instance lies."""
         return self._certificates / f"{instance}.h5"
 
+    def certified(self, outcome: Outcome) -> bool:
+        """Whether a proof ended in unsat, with a certificate."""
+        return outcome.record.verdict == "unsat" and (
+            self.certificate(outcome.record.instance).is_file()
+        )
+
     @property
     def _certificates(self) -> Path:
         return self.folder / f"certificates{self._suffix}"
