@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hypothesis import HealthCheck, settings
 
 from checker.files import Rejected, read_certificate, read_instance
 from checker.rows import Checker
@@ -26,6 +27,11 @@ _ROWS = {
     "step", "frame", "case", "parent", "kind", "centre", "spread", "radius", "piece", "guard",
     "elsewhere", "into",
 }  # fmt: skip
+
+#: Few examples: each is a certificate checked.
+SOME = settings(
+    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 
 
 @dataclass(frozen=True)
