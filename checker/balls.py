@@ -136,12 +136,12 @@ def total(x: Balls) -> Balls:
 
 
 def product(matrix: NDArray, x: Balls) -> Balls:
-    """Return matrix @ x, for a matrix of doubles and x of shape (..., columns, k).
+    """Return matrix @ x, for matrices (..., rows, columns) of doubles and x (..., columns, k).
 
     A sum of n products in any order, fused or not, is off by at most n U / (1 - n U) times the
     sum of the absolute values, and by n 2^-1075 where products underflow.
     """
-    n = matrix.shape[1]
+    n = matrix.shape[-1]
     share = (n + 2) * U * (1 + 2.0**-20)
     middle = matrix @ x.middle
     radius = np.abs(matrix) @ (x.radius + share * np.abs(x.middle))

@@ -268,6 +268,16 @@ def cosine(z: Balls) -> Balls:
     return settled(apply(z, lambda y, n: _sine_taylor(y, n, 1)))
 
 
+def riccati(g: list[Balls], sign: int, n: int) -> list[Balls]:
+    """Continue the Taylor coefficients of a solution of g' = 1 + sign g^2 up to order n."""
+    while len(g) <= n:
+        square = _added([multiply(x, y) for x, y in zip(g, reversed(g), strict=True)])
+        if len(g) == 1:
+            square = add(square, exact(np.full_like(square.middle, sign)))
+        g.append(balls.over(square, sign * len(g)))
+    return g
+
+
 def _reciprocal_taylor(y: Balls, n: int) -> list[Balls]:
     g = [balls.reciprocal(y)]
     turned = balls.negative(g[0])
@@ -296,3 +306,8 @@ def inverse(z: Balls) -> Balls:
     line = settled(scaled(z, exact(-k), values))
     better = ~(series.radius[..., -1] <= line.radius[..., -1]) & (a > 0)
     return chosen(better[..., None], line, series)
+
+
+def above(value: arb) -> float:
+    """Return a double of at least a number's value, which is not negative."""
+    return float(value.upper()) * balls.UP

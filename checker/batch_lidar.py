@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 from checker import balls, models
 from checker.balls import Balls, add, exact, lower, multiply, size, subtract, upper
-from checker.batch import cosine, inverse, joined, product, range_of, reciprocal, settled, sine
+from checker.batch import (
+    above,
+    cosine,
+    inverse,
+    joined,
+    product,
+    range_of,
+    reciprocal,
+    settled,
+    sine,
+)
 from checker.lidar import NEAREST, Assumed, Face, Rays
 
 #: Numbers in an array of readings; of more, arrays do not fit the caches.
@@ -73,11 +83,11 @@ class _Sight:
         self._miss = settled(joined([first, miss.at(..., slice(1, None))]))
         outside = range_of(self._miss)
         self._outside = lower(outside), upper(outside)
-        limits = np.array([_above(reach * models.length(face)) for face in faces])
+        limits = np.array([above(reach * models.length(face)) for face in faces])
         far = self._outside[0] > limits
         self._near = np.stack([~far[:, mine].any(axis=1) for mine in self._of], axis=1)
         near = np.stack([self._near[:, o] for o, _ in self._faces], axis=1)
-        self._distant = near & (self._outside[0] > _above(NEAREST))
+        self._distant = near & (self._outside[0] > above(NEAREST))
         ahead = add(multiply(a, sin), multiply(b, cos))
         across = subtract(multiply(a, cos), multiply(b, sin))
         self._rates = settled(_stacked(ahead, across))
@@ -259,8 +269,3 @@ def followed(scans: Balls, gone: Sequence[int], reach: float, noise: float) -> B
 
 def _stacked(first: Balls, second: Balls) -> Balls:
     return Balls(*(np.stack(pair, axis=-2) for pair in zip(first, second, strict=True)))
-
-
-def _above(value: arb) -> float:
-    """Return a double of at least a number's value, which is not negative."""
-    return float(value.upper()) * balls.UP

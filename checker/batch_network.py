@@ -17,6 +17,7 @@ from checker.batch import (
     plus,
     raised,
     range_of,
+    riccati,
     scaled,
     settled,
     stray,
@@ -65,13 +66,7 @@ def _tanh_taylor(y: Balls, n: int) -> list[Balls]:
     slope = subtract(one, multiply(h, h))
     slope = balls.clip(slope, 0, 1) if wide else slope
     bend = multiply(Balls(-h.middle, h.radius), slope)
-    g = [h, slope, balls.clip(bend, -_BEND, _BEND) if wide else bend]
-    while len(g) <= n:
-        square = multiply(g[0], g[-1])
-        for i in range(1, len(g)):
-            square = add(square, multiply(g[i], g[-1 - i]))
-        g.append(balls.over(square, -len(g)))
-    return g
+    return riccati([h, slope, balls.clip(bend, -_BEND, _BEND) if wide else bend], -1, n)
 
 
 def _tanh(z: Balls) -> Balls:

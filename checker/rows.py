@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from checker.balls import Balls
 from checker.batch import of_models, of_rows
+from checker.batch_inclusion import hold_images
 from checker.batch_lidar import readings
 from checker.batch_network import AT_ONCE, BatchNetwork
+from checker.batch_step import Arcs
 from checker.files import Certificate, GuardKind, Instance, Kind, Rejected, Row, Unreadable, require
 from checker.forest import WIDER, Assumed, Forest
 from checker.inclusion import (
@@ -41,7 +43,7 @@ from checker.models import (
     restrict,
     symbols,
 )
-from checker.step import Network, Path, Sensors, View, choices, steering
+from checker.step import Motion, Network, Path, Sensors, View, choices, steering
 
 #: Parts of a row whose step cannot be proved at once are halved, at most so many of them: enough
 #: to come close to a kink that sits at an end of the row.
@@ -56,12 +58,13 @@ class Checker:
             self.plant, self.unsafe = instance.data["plant"], instance.data["property"]["unsafe"]
             self.frames = self.plant["frames"]
             self.sensors, self.network = Sensors(instance.data), Network(instance.layers)
-            self._batch = BatchNetwork(instance.layers)
+            self._batch, self._motion = BatchNetwork(instance.layers), Motion(self.plant)
             self.forest = Forest(cert, instance)
             self._check_instance()
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise Unreadable(f"the instance lacks something or has it wrong: {error}") from None
-        self.rows, self.margin = cert.rows, arb(cert.margin)
+        self.rows, self.margin = cert.rows, cert.margin
+        self.symbols = cert.symbols
         # All but the last three symbols mean the same from row to row.
         self.carried = max(cert.symbols - 3, 0)
         require(cert.instance_sha256 == instance.sha256, "it is of another instance")
@@ -92,21 +95,23 @@ class Checker:
 
     def check_rows(self, indices: list[int]) -> None:
         """Prove that what follows each of some rows contains all that may become of it, safely."""
-        ahead = self._answers([i for i in indices if self._drives(i)])
+        answers = self._answers([i for i in indices if self._drives(i)])
+        proved = self._driven(answers)
         for i in indices:
-            self.check_row(i, ahead.get(i))
+            self.check_row(i, answers.get(i), i in proved)
 
-    def check_row(self, i: int, answers: list[Model] | None = None) -> None:
+    def check_row(self, i: int, answers: list[Model] | None = None, proved: bool = False) -> None:
         """Prove that what follows a row contains all that may become of it, safely.
 
-        answers: of the network to the row's scans, if they are known.
+        answers: of the network to the row's scans, if they are known; proved: whether they are
+        known to take the row safely into its image.
         """
         row, children = self.rows[i], self.forest.children[i]
         try:
             if row.into >= 0:
                 prove_gathered(models_of(row, apart=True), self.rows[row.into])
             elif self._drives(i):
-                self._check_step(i, self.rows[children[0]], answers)
+                self._check_step(i, self.rows[children[0]], answers, proved)
             elif children:
                 self._check_parts(row, [self.rows[c] for c in children])
         except (Rejected, ArithmeticError, ValueError) as error:  # whatever is not proved
@@ -230,10 +235,28 @@ class Checker:
             model = of_models([view.reading(ray)])
             scan.middle[ray], scan.radius[ray] = model.middle[0], model.radius[0]
 
-    def _check_step(self, i: int, image: Row, answers: list[Model] | None) -> None:
+    def _driven(self, answers: dict[int, list[Model]]) -> set[int]:
+        """Return which rows' answers surely take them safely into their images, as doubles tell."""
+        found: set[int] = set()
+        for frame in {} if self._motion.slip else {self.rows[i].frame for i in answers}:
+            mine = [i for i in answers if self.rows[i].frame == frame]
+            states = of_rows([self.rows[i] for i in mine])
+            with np.errstate(all="ignore"):
+                deltas = of_models([steering(answers[i], self.symbols) for i in mine])
+                arcs = Arcs(self._motion, states, deltas)
+                images = [self.rows[self.forest.children[i][0]] for i in mine]
+                proved = hold_images(arcs.end, images, self.carried)
+                for polygon in self.unsafe[frame]:
+                    proved &= arcs.clear(polygon, self.margin)
+            found.update(i for i, sure in zip(mine, proved, strict=True) if sure)
+        return found
+
+    def _check_step(self, i: int, image: Row, answers: list[Model] | None, proved: bool) -> None:
         """Prove clearance and image of one period."""
         row, assumed = self.rows[i], self.forest.assumptions(i)
         require(self.settled(i), "it may have to change its frame before it drives")
+        if proved:
+            return
         if answers:
             try:
                 self._check_period(row, state_of(row), answers, image, ())
@@ -261,9 +284,9 @@ class Checker:
         self, row: Row, state: list[Model], answers: list[Model], image: Row, cuts: Cuts
     ) -> None:
         """Prove clearance and image of a part of a row, from the network's answers to its scans."""
-        path = Path(self.plant, state, steering(answers, symbols(state[0])))
+        path = Path(self._motion, state, steering(answers, symbols(state[0])))
         for polygon in self.unsafe[row.frame]:
-            path.clear(polygon, self.margin)
+            path.clear(polygon, arb(self.margin))
         prove_image(path.end, image, self.carried, cuts)
 
 

@@ -134,28 +134,38 @@ def steering(answers: list[Model], m: int) -> Model:
     return gathered(plus(first, stray), m)
 
 
+class Motion:
+    """What of a period's arc depends on the car alone: constants, known in balls."""
+
+    def __init__(self, plant: dict[str, Any]) -> None:
+        car = {k: arb(v) for k, v in plant["bicycle"].items() if k != "slip"}
+        period = arb(plant["period"])
+        top = car["motor"] * (car["throttle"] - car["hysteresis"])
+        self.slip, self.rear = bool(plant["bicycle"]["slip"]), car["rear"]
+        self.base = car["front"] + car["rear"]
+        #: The speed after a period: decay v + gained; the distance: gone v + pushed.
+        self.decay = (-car["acceleration"] * period).exp()
+        self.gone = (1 - self.decay) / car["acceleration"]
+        self.gained, self.pushed = top * (1 - self.decay), top * (period - self.gone)
+
+
 class Path:
     """The arc that a row drives in one period, exactly as in docs/certificates.md."""
 
-    def __init__(self, plant: dict[str, Any], state: list[Model], delta: Model) -> None:
+    def __init__(self, motion: Motion, state: list[Model], delta: Model) -> None:
         parts = map(split, state)
         self._s, self._f, speed, self._theta = (
             [*p, *a, ZERO, *b, ZERO, rest] for p, a, b, rest in parts
         )  # delta has one symbol more
-        car = {k: arb(v) for k, v in plant["bicycle"].items() if k != "slip"}
-        base, period = car["front"] + car["rear"], arb(plant["period"])
-        top = car["motor"] * (car["throttle"] - car["hysteresis"])
-        decay = (-car["acceleration"] * period).exp()
-        gone = (1 - decay) / car["acceleration"]
         slope = models.tan(delta)
-        self.curvature, self._slip = scale(slope, 1 / base), None
-        if plant["bicycle"]["slip"]:
-            tangent = scale(slope, car["rear"] / base)
+        self.curvature, self._slip = scale(slope, 1 / motion.base), None
+        if motion.slip:
+            tangent = scale(slope, motion.rear / motion.base)
             cos = models.cosine_of_slope(tangent)
             self._slip = cos, multiply(cos, tangent)
             self.curvature = multiply(self.curvature, cos)
-        self.distance = plus(scale(speed, gone), top * (period - gone))
-        after = plus(scale(speed, decay), top * (1 - decay))
+        self.distance = plus(scale(speed, motion.gone), motion.pushed)
+        after = plus(scale(speed, motion.decay), motion.gained)
         self._turned = multiply(self.curvature, self.distance)
         self._points = {0.0: (self._s, self._f)}
         self.end = [*self.point(1.0), after, add(self._theta, self._turned)]

@@ -12,11 +12,12 @@ from checker.balls import Balls, to_arb
 from checker.batch import of_models
 from checker.batch_lidar import readings
 from checker.batch_network import BatchNetwork
+from checker.batch_step import Arcs
 from checker.files import Layer as ReadLayer
 from checker.files import Rejected
 from checker.lidar import Assumed, Rays, View
 from checker.models import TERMS, UNIT, Model, symbols
-from checker.step import Network, Path, Sensors, choices, steering
+from checker.step import Motion, Network, Path, Sensors, choices, steering
 from racecar.bicycle import Bicycle
 from racecar.closed_loop import Plant, State
 from racecar.controller import Controller, Layer
@@ -220,7 +221,23 @@ def test_noise_is_followed_ray_by_ray_and_cut_off_at_the_range(doubles):
         assert abs(float(z[0]) + reach - min(distance + noise, 5.0)) < 1e-9
 
 
-def clear(path: Path, safety: Property, margin: float) -> bool:
+class InDoubles:
+    """The arc of one row as ``Path`` has it, from what is known of many rows in doubles."""
+
+    def __init__(self, motion: Motion, state: list[Model], delta: Model) -> None:
+        one = Balls(*(x[None] for x in of_models(state)))
+        self._arcs = Arcs(motion, one, of_models([delta]))
+        self.end = [to_arb(self._arcs.end.at(0, k)) for k in range(4)]
+
+    def point(self, share: float) -> list[Model]:
+        return [to_arb(z.at(0)) for z in self._arcs.point(share, np.array([0]))]
+
+    def clear(self, polygon: list[list[float]], margin: arb) -> None:
+        if not self._arcs.clear(polygon, float(margin)).all():
+            raise Rejected("not by one face on each piece")
+
+
+def clear(path: Path | InDoubles, safety: Property, margin: float) -> bool:
     """Tell whether the checker proves a margin to all of the unsafe set."""
     try:
         for polygon in safety.unsafe[0]:
@@ -276,7 +293,8 @@ def test_steps_contain_those_of_the_simulator(activation, slip, fault, doubles):
         if None in answers:
             continue
         delta = steering(answers, SYMBOLS)
-        path = Path(data["plant"], state, delta)
+        arc_of = InDoubles if doubles and not slip else Path
+        path = arc_of(Motion(data["plant"]), state, delta)
         for _ in range(10):
             x, e, there = cars.member()
             given = State.start(*there)
@@ -304,7 +322,8 @@ def test_steps_contain_those_of_the_simulator(activation, slip, fault, doubles):
     assert done > 100
 
 
-def test_the_clearance_of_a_thin_row_is_proved_to_a_micrometre():
+@pytest.mark.parametrize("arc_of", [Path, InDoubles])
+def test_the_clearance_of_a_thin_row_is_proved_to_a_micrometre(arc_of):
     car = plant(rays=9)
     safety = named_property("clearance", car.track)
     for seed in range(20):
@@ -313,7 +332,7 @@ def test_the_clearance_of_a_thin_row_is_proved_to_a_micrometre():
         state = cars.models()
         delta = random.uniform(-0.26, 0.26)
         constant = [arb(delta), *[arb(0)] * (TERMS + 2 * SYMBOLS + 2)]
-        path = Path(data_of(car)["plant"], state, constant)
+        path = arc_of(Motion(data_of(car)["plant"]), state, constant)
         given = State.start(*cars.member()[2])
         _, arc = car.drive(given, np.array([delta]))
         least = car.arc_margin(safety, given, arc, np.full(1, np.inf))[0]
