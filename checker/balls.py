@@ -65,6 +65,21 @@ def between(low: NDArray, high: NDArray) -> Balls:
     return Balls(middle, np.maximum(high - middle, middle - low) * UP + TINY)
 
 
+def raised(bound: NDArray) -> NDArray:
+    """Return a bound after a few roundings of numbers that are not negative."""
+    return bound * UP + TINY
+
+
+def from_zero(bound: NDArray) -> Balls:
+    """Return balls that contain [0, bound]."""
+    return between(np.zeros_like(bound), bound)
+
+
+def above(value: arb) -> float:
+    """Return a double of at least a number's value, which is not negative."""
+    return float(value.upper()) * UP
+
+
 def lower(x: Balls) -> NDArray:
     """Return lower bounds: a unit in the last place further, as half of one may be rounded off."""
     low = x.middle - x.radius
@@ -82,10 +97,20 @@ def size(x: Balls) -> NDArray:
     return (np.abs(x.middle) + x.radius) * UP
 
 
+def _rounded(radius: NDArray, middle: NDArray) -> NDArray:
+    """Return radii, changed in place, with what rounding the middle adds."""
+    error = np.abs(middle)
+    error *= U
+    radius += error
+    radius *= UP
+    radius += TINY
+    return radius
+
+
 def add(x: Balls, y: Balls) -> Balls:
     """Return x + y."""
     middle = x.middle + y.middle
-    return Balls(middle, (x.radius + y.radius + U * np.abs(middle)) * UP + TINY)
+    return Balls(middle, _rounded(x.radius + y.radius, middle))
 
 
 def subtract(x: Balls, y: Balls) -> Balls:
@@ -96,8 +121,9 @@ def subtract(x: Balls, y: Balls) -> Balls:
 def multiply(x: Balls, y: Balls) -> Balls:
     """Return x y."""
     middle = x.middle * y.middle
-    radius = np.abs(x.middle) * y.radius + x.radius * (np.abs(y.middle) + y.radius)
-    return Balls(middle, (radius + U * np.abs(middle)) * UP + TINY)
+    radius = x.radius * (np.abs(y.middle) + y.radius)
+    radius += np.abs(x.middle) * y.radius
+    return Balls(middle, _rounded(radius, middle))
 
 
 def negative(x: Balls) -> Balls:

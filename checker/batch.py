@@ -9,7 +9,7 @@ coefficients are exact, and the rest has middle 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import comb, factorial
+from math import factorial
 
 import numpy as np
 from flint import arb
@@ -19,9 +19,9 @@ from checker import balls
 from checker.balls import Balls, add, around, between, exact, multiply, size, subtract, times
 from checker.files import Row
 from checker.models import BASE, KNOWN, PAIRS, TERMS, Model
+from checker.series import Series, Taylor, by_division, by_taylor, range_of_powers
 
-#: Returns the Taylor coefficients of orders 0 to n of a function, at all points of balls at once.
-Taylor = Callable[[Balls, int], list[Balls]]
+raised, from_zero = balls.raised, balls.from_zero
 
 
 def of_rows(rows: Sequence[Row]) -> Balls:
@@ -47,9 +47,17 @@ def joined(parts: list[Balls]) -> Balls:
     return Balls(np.concatenate(middles, axis=-1), np.concatenate(radii, axis=-1))
 
 
+def by_entry(z: Balls) -> Balls:
+    """Return models with the same entry of all of them side by side in memory.
+
+    NumPy keeps that order in what it makes of them, and works fastest along it.
+    """
+    return Balls(*(np.moveaxis(np.ascontiguousarray(np.moveaxis(x, -1, 0)), 0, -1) for x in z))
+
+
 def settled(z: Balls) -> Balls:
     """Return models with exact coefficients: radii go into the rest, as |x|, |e_j| <= 1."""
-    middle, radius = z.middle.copy(), np.zeros_like(z.radius)
+    middle, radius = z.middle.copy("K"), np.zeros_like(z.radius)
     middle[..., -1] = 0
     radius[..., -1] = upper_sum([z.radius, np.abs(z.middle[..., -1:])])
     return Balls(middle, radius)
@@ -70,8 +78,14 @@ def parts(z: Balls) -> tuple[list[Balls], Balls, Balls, NDArray]:
 
 
 def upper_sum(terms: list[NDArray]) -> NDArray:
-    """Return upper bounds of sums along the last axis of numbers that are not negative."""
-    return balls.upper(balls.total(exact(np.concatenate(terms, axis=-1))))
+    """Return upper bounds of sums along the last axis of numbers that are not negative.
+
+    A sum of n of them is off by at most (n - 1) U / (1 - (n - 1) U) times itself.
+    """
+    total = np.sum(terms[0], axis=-1)
+    for term in terms[1:]:
+        total = total + term.sum(-1)
+    return total * (1 + 4 * sum(term.shape[-1] for term in terms) * balls.U)
 
 
 def _magnitude(x: Balls) -> NDArray:
@@ -79,66 +93,25 @@ def _magnitude(x: Balls) -> NDArray:
     return upper_sum([size(x)])
 
 
-def raised(bound: NDArray) -> NDArray:
-    """Return a bound after a few roundings of numbers that are not negative."""
-    return bound * balls.UP + balls.TINY
-
-
-def from_zero(bound: NDArray) -> Balls:
-    """Return balls that contain [0, bound]."""
-    return between(np.zeros_like(bound), bound)
-
-
-def _everywhere(p: list[Balls]) -> list[Balls]:
-    """Return the coefficients in powers of t of p(x + t), for all x of [-1, 1] at once."""
-    out = []
-    for k in range(TERMS):
-        sum_ = p[k]
-        for j in range(k + 1, TERMS):
-            term = times(p[j], comb(j, k))
-            most = size(term)
-            if (j - k) % 2:
-                sum_ = add(sum_, around(most))
-            else:  # times [0, 1]
-                half = times(term, 0.5)
-                sum_ = add(sum_, Balls(half.middle, raised(half.radius + most / 2)))
-        out.append(sum_)
-    return [*out, exact(np.zeros_like(p[0].middle))]
-
-
-def _composed(g: list[Balls], p: list[Balls], n: int) -> list[Balls]:
-    """Return orders 0 to n of g(p(t)), from the Taylor coefficients of g at p(0)."""
-    out = [g[n]]
-    for k in range(n - 1, -1, -1):
-        longer = [g[k]]
-        for order in range(1, n - k + 1):
-            longer.append(_added([multiply(p[j], out[order - j]) for j in range(1, order + 1)]))
-        out = longer
-    return out
-
-
-def apply(z: Balls, taylor: Taylor) -> Balls:
+def apply(
+    z: Balls, taylor: Taylor, series: Callable[[list[Balls], Taylor], Series] = by_taylor
+) -> Balls:
     """Return models of g(z), g an analytic function, z settled: the rules of models._apply."""
-    p, a, b, rest = parts(z)
-    g = taylor(p[0], TERMS - 1)
-    q = _everywhere(p)
-    h = taylor(q[0], TERMS)
-    sixth = _composed(h, q, TERMS)[TERMS]
-    second = add(times(multiply(h[2], q[2]), 2), times(multiply(h[3], multiply(q[1], q[1])), 3))
+    p, a, b, rest = parts(by_entry(z))
+    g, within, h, orders, left, second = series(p, taylor)
     size_b = _magnitude(b)
     all_symbols = raised(_magnitude(a) + size_b)
     most = raised(all_symbols + rest)
     d0, d1 = g[1], times(multiply(g[2], p[1]), 2)
-    sixth = multiply(sixth, between(np.zeros_like(most), np.ones_like(most)))
     mixed = around(raised(size(d1) * size_b + size(second) * all_symbols))
-    cut = add(add(sixth, multiply(h[1], around(rest))), mixed)
-    whole = taylor(add(q[0], around(most)), 3)
+    cut = add(add(left, multiply(h[1], around(rest))), mixed)
+    whole = taylor(add(within, around(most)), 3)
     square = raised(most * most)
     last, bend = multiply(whole[2], from_zero(square)), exact(np.zeros_like(most))
     if a.middle.shape[-1] >= KNOWN:
         line = _magnitude(a.at(..., slice(0, BASE)))
         other = raised(_magnitude(a.at(..., slice(BASE, None))) + size_b + rest)
-        off = times(multiply(h[3], subtract(q[0], p[0])), 3)
+        off = times(multiply(h[3], subtract(within, p[0])), 3)
         bent = multiply(off, from_zero(square))
         bent = add(bent, multiply(whole[3], around(raised(square * most))))
         bent = add(bent, multiply(g[2], around(raised(2 * line * other))))
@@ -151,7 +124,7 @@ def apply(z: Balls, taylor: Taylor) -> Balls:
     if a.middle.shape[-1] >= KNOWN:
         products, more = _products(a, multiply(bend.at(..., None), a))
         first, cut = _with_products(first, products), add(cut, more)
-    return plus([*_composed(g, p, TERMS - 1), first, both], cut)
+    return plus([*orders, first, both], cut)
 
 
 def product(z: Balls, w: Balls) -> Balls:
@@ -236,7 +209,7 @@ def stray(z: Balls) -> NDArray:
 
 def range_of(z: Balls) -> Balls:
     """Return balls with all values of settled models."""
-    return add(_everywhere(parts(z)[0])[0], around(stray(z)))
+    return add(range_of_powers([x.middle for x in parts(z)[0]]), around(stray(z)))
 
 
 def scaled(z: Balls, slope: Balls, value: Balls) -> Balls:
@@ -288,7 +261,7 @@ def _reciprocal_taylor(y: Balls, n: int) -> list[Balls]:
 
 def reciprocal(z: Balls) -> Balls:
     """Return 1 / z, settled; not finite where z may be 0."""
-    return settled(apply(z, _reciprocal_taylor))
+    return settled(apply(z, _reciprocal_taylor, by_division))
 
 
 def inverse(z: Balls) -> Balls:
@@ -303,11 +276,10 @@ def inverse(z: Balls) -> Balls:
     most = np.maximum(*map(balls.upper, ends))
     # A square root is rounded to nearest, too.
     values = between(2 * np.sqrt(k) * balls.DOWN, most)
-    line = settled(scaled(z, exact(-k), values))
-    better = ~(series.radius[..., -1] <= line.radius[..., -1]) & (a > 0)
-    return chosen(better[..., None], line, series)
-
-
-def above(value: arb) -> float:
-    """Return a double of at least a number's value, which is not negative."""
-    return float(value.upper()) * balls.UP
+    closer = ~(series.radius[..., -1] <= values.radius) & (a > 0)  # the line may be
+    if closer.any():
+        line = settled(scaled(z.at(closer), exact(-k[closer]), values.at(closer)))
+        better = ~(series.radius[closer][..., -1] <= line.radius[..., -1])
+        for whole, part in zip(series, line, strict=True):
+            whole[closer] = np.where(better[..., None], part, whole[closer])
+    return series
