@@ -16,12 +16,22 @@ from flint import arb
 from numpy.typing import NDArray
 
 from checker import balls
-from checker.balls import Balls, add, around, between, exact, multiply, size, subtract, times
+from checker.balls import (
+    Balls,
+    add,
+    around,
+    between,
+    exact,
+    from_zero,
+    multiply,
+    raised,
+    size,
+    subtract,
+    times,
+)
 from checker.files import Row
 from checker.models import BASE, KNOWN, PAIRS, TERMS, Model
 from checker.series import Series, Taylor, by_division, by_taylor, range_of_powers
-
-raised, from_zero = balls.raised, balls.from_zero
 
 
 def of_rows(rows: Sequence[Row]) -> Balls:

@@ -7,15 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from checker import balls
-from checker.balls import Balls, add, between, exact, multiply, subtract, times
+from checker.balls import Balls, add, between, exact, from_zero, multiply, raised, subtract, times
 from checker.batch import (
     apply,
     chosen,
-    from_zero,
     joined,
     parts,
     plus,
-    raised,
     range_of,
     riccati,
     scaled,

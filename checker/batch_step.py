@@ -13,14 +13,24 @@ from flint import arb
 from numpy.typing import NDArray
 
 from checker import balls, models
-from checker.balls import Balls, add, around, exact, lower, multiply, size, subtract, times
-from checker.batch import (
+from checker.balls import (
+    Balls,
     above,
+    add,
+    around,
+    exact,
+    lower,
+    multiply,
+    raised,
+    size,
+    subtract,
+    times,
+)
+from checker.batch import (
     apply,
     cosine,
     parts,
     product,
-    raised,
     range_of,
     riccati,
     scaled,

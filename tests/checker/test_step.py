@@ -174,6 +174,26 @@ def test_readings_hold_for_the_members_that_satisfy_an_assumption(doubles):
     assert min(found.values()) > 50
 
 
+def test_readings_are_the_same_in_blocks_of_rays(monkeypatch):
+    car = plant(rays=41)
+    walls = car.track.frames[0].obstacles
+    rays = Rays({"rays": 41, "range": 5.0, "field_of_view": car.lidar.field_of_view})
+    corner = next(i for i, p in enumerate(walls) if len(p.offsets) == 4)
+    obstacles = [p.to_constraints() for p in walls]
+    states = [Cars(np.random.default_rng(k), 0.03, turn=True).models() for k in range(20)]
+    models = Balls(*(np.stack(x) for x in zip(*map(of_models, states), strict=True)))
+    assumed: list[Assumed] = [{(ray, corner, 0, 2): ray % 2 == 0} for ray in range(15, 35)]
+    whole, proved = readings(rays, obstacles, models, assumed)
+    assert not proved.all()
+    assert (proved != readings(rays, obstacles, models, [{}] * 20)[1]).any()
+    for at_once in (1, 20 * 11 * 15):
+        monkeypatch.setattr("checker.batch_lidar._AT_ONCE", at_once)
+        parts, also = readings(rays, obstacles, models, assumed)
+        assert (also == proved).all()
+        for x, y in zip(parts, whole, strict=True):
+            np.testing.assert_allclose(x[proved], y[proved], rtol=1e-9, atol=1e-13)
+
+
 def controller(random: np.random.Generator, rays: int, activation: str) -> Controller:
     sizes = [rays, 8, 6]
     layers = []
