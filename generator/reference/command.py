@@ -92,7 +92,7 @@ def reference(
 
 
 def _make(benchmarks: Path, chosen: Selection, work: Work, as_json: bool) -> int:
-    from generator.reference.make import load_questions, make  # noqa: PLC0415
+    from generator.reference.make import Contradiction, load_questions, make  # noqa: PLC0415
     from generator.reference.queries import make_queries  # noqa: PLC0415
     from generator.reference.rows import (  # noqa: PLC0415
         read_rows,
@@ -112,7 +112,11 @@ def _make(benchmarks: Path, chosen: Selection, work: Work, as_json: bool) -> int
             click.echo(f"{done} of {total} instances settled or given up", err=True)
 
     loops, queries = _apart(entries)
-    results = make(load_questions(loops), work, report)
+    try:
+        results = make(load_questions(loops), work, report)
+    except Contradiction as error:
+        click.echo(f"error: {error}", err=True)
+        return CHECK_FAILED
     if queries:
         more = make_queries(queries, work, report)
         results.rows |= more.rows

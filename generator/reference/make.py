@@ -19,6 +19,19 @@ from racecar.instance import Instance, load_instance
 PROGRAMS = ("closedlap", "numpy", "onnxruntime", "llvmlite", "python-flint")
 
 
+class Contradiction(Exception):
+    """A proof that the checker accepted, and a witness that the replay accepted, against it.
+
+    One of the programs is wrong, and no result can be trusted before that is found.
+    """
+
+    def __init__(self, witness: str, asked: str, proof: str) -> None:
+        super().__init__(
+            f"{asked}: the witness of {witness} holds in the replay, and the certificate of "
+            f"{proof} is accepted by the checker; one of them is wrong: nothing was written"
+        )
+
+
 @dataclass(frozen=True)
 class Question:
     """An instance and where it lies."""
@@ -104,6 +117,7 @@ def _run_round(
         elif outcome.witness is not None:
             _try_witness(question, outcome.witness, question, outcome, results)
             _spread_witness(question, questions, results)
+    _check_refuted([q for q in proved if results.settled(q)], work, results)
     while proved := [question for question in proved if not results.settled(question)]:
         first = largest(proved)
         checks = work.check([question.entry for question in first])
@@ -112,6 +126,17 @@ def _run_round(
             if results.settled(question):
                 _spread_proof(question, questions, results)
         proved = [question for question in proved if question not in first]
+
+
+def _check_refuted(proved: Sequence[Question], work: Work, results: Results) -> None:
+    """Note that proofs are refuted by witnesses of other questions; they must not be accepted."""
+    checks = work.check([question.entry for question in proved])
+    for question in proved:
+        row = results.rows[question.id]
+        if (checks[question.id].proved or 0) > 0:
+            raise Contradiction(row.source, question.id, question.id)
+        method = f"{row.method}, against a proof that was not accepted"
+        results.rows[question.id] = replace(row, method=method)
 
 
 def open_row(id: str, outcome: Outcome) -> Row:
@@ -153,26 +178,30 @@ def _spread_proof(proved: Question, questions: Sequence[Question], results: Resu
     """Carry a checked proof over to what it implies."""
     row = results.rows[proved.id]
     for asked in questions:
-        if not results.settled(asked) and implies(proved.instance, asked.instance):
-            own = results.rows.get(asked.id)
-            results.rows[asked.id] = replace(
-                row,
-                instance=asked.id,
-                margin_upper=own.margin_upper if own else "",
-                method=f"{row.method}, of a larger question",
-                time_s=own.time_s if own else "",
-                check_s="",
-            )
+        own = results.rows.get(asked.id)
+        if (own and own.verdict == "unsat") or not implies(proved.instance, asked.instance):
+            continue
+        if own and own.verdict == "sat":
+            raise Contradiction(own.source, asked.id, proved.id)
+        results.rows[asked.id] = replace(
+            row,
+            instance=asked.id,
+            margin_upper=own.margin_upper if own else "",
+            method=f"{row.method}, of a larger question",
+            time_s=own.time_s if own else "",
+            check_s="",
+        )
 
 
 def _spread_witness(found: Question, questions: Sequence[Question], results: Results) -> None:
-    """Replay a witness on every open question that its start may settle."""
+    """Replay a witness on every question that its start may settle, or refute a proof of."""
     if not results.settled(found):
         return
     witness = results.witnesses[found.id].encode()
     for asked in questions:
         same = asked.instance.controller.sha256 == found.instance.controller.sha256
-        if same and not results.settled(asked) and _starts_in(witness, asked.instance):
+        row = results.rows.get(asked.id)
+        if same and (row is None or row.verdict != "sat") and _starts_in(witness, asked.instance):
             _try_witness(asked, witness, found, None, results)
 
 
@@ -195,6 +224,8 @@ def _try_witness(
         if outcome is not None and row is not None and not results.settled(asked):
             results.rows[asked.id] = replace(row, method=f"verifier: sat; witness {check.outcome}")
         return
+    if row is not None and row.verdict == "unsat":
+        raise Contradiction(source.id, asked.id, row.source)
     base = row or results.rows[source.id]
     own = asked.id == source.id
     results.witnesses[source.id] = witness.decode()
