@@ -1,4 +1,4 @@
-"""What checking a row costs: readings and network in doubles for many rows at once, and in Arb.
+"""What checking a row costs: in doubles for many rows at once, and in Arb.
 
     python -m bench.checking CERTIFICATE INSTANCE [--rows N]
 
@@ -29,7 +29,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("certificate", type=Path)
     parser.add_argument("instance", type=Path)
-    parser.add_argument("--rows", type=int, default=128, metavar="N")
+    parser.add_argument("--rows", type=int, default=256, metavar="N")
     given = parser.parse_args()
     certificate, instance = read_certificate(given.certificate), read_instance(given.instance)
     checker, rows = Checker(certificate, instance), certificate.rows
@@ -61,15 +61,28 @@ def main() -> None:
     parts = [ahead[k : k + AT_ONCE] for k in range(0, len(ahead), AT_ONCE)]
     quick, fast = timed(lambda: [y for part in parts for y in network.steering(part)])
     exact, slow = timed(lambda: list(map(Network(instance.layers).steering, scans)))
+    answers = {i: [y] for i, y in zip(chosen, quick, strict=True) if y is not None}
+    through, fast_period = timed(lambda: checker._driven(answers))
+
+    def period(i):
+        image = rows[checker.forest.children[i][0]]
+        checker._check_period(rows[i], state_of(rows[i]), answers[i], image, ())
+
+    _, slow_period = timed(lambda: list(map(period, sorted(through))))
+    slow_period *= len(answers) / len(through)
     more = max(
         float(a[-1].rad()) - float(b[-1].rad())
         for a, b in zip(quick, exact, strict=True)
         if a is not None
     )
     print(f"{len(chosen)} rows, all that is checked of one: {whole:.2f} ms")
-    for name, doubles, arb in (("readings", fast_lidar, slow_lidar), ("network", fast, slow)):
+    for name, doubles, arb in (
+        ("readings", fast_lidar, slow_lidar), ("network", fast, slow),
+        ("arc, clearance and image", fast_period, slow_period),
+    ):  # fmt: skip
         print(f"{name} in doubles {doubles:.2f} ms, in Arb {arb:.2f} ms: ratio {arb / doubles:.1f}")
     print(f"readings proved in doubles: {proved.mean():.2%}; rests larger by up to {more:.1e} rad")
+    print(f"periods proved in doubles: {len(through) / len(chosen):.2%}")
 
 
 if __name__ == "__main__":
