@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from checker.batch import of_rows
 from checker.batch_lidar import readings
-from checker.batch_network import AT_ONCE, BatchNetwork
+from checker.batch_network import BatchNetwork
 from checker.files import Kind, read_certificate, read_instance
 from checker.inclusion import state_of
 from checker.rows import Checker
@@ -58,7 +58,8 @@ def main() -> None:
     noisy = checker.sensors.disturbed(read, [])
     network = BatchNetwork(instance.layers)
     ahead = [noisy.at(k) for k in range(len(chosen))]
-    parts = [ahead[k : k + AT_ONCE] for k in range(0, len(ahead), AT_ONCE)]
+    step = network.at_once(noisy.middle.shape[-1])
+    parts = [ahead[k : k + step] for k in range(0, len(ahead), step)]
     quick, fast = timed(lambda: [y for part in parts for y in network.steering(part)])
     exact, slow = timed(lambda: list(map(Network(instance.layers).steering, scans)))
     answers = {i: [y] for i, y in zip(chosen, quick, strict=True) if y is not None}

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from checker import balls
 from checker.balls import Balls, add, between, exact, from_zero, multiply, raised, subtract, times
 from checker.batch import (
     apply,
+    by_entry,
     chosen,
-    joined,
     parts,
     plus,
     range_of,
@@ -24,8 +25,8 @@ from checker.files import Layer
 from checker.models import Model
 
 _BEND = 0.384900179459751  # more than 2 / (3 sqrt(3)), the largest |tanh''| / 2
-#: Scans; of more, arrays do not fit the caches.
-AT_ONCE = 32
+#: Numbers in an array; of more, arrays do not fit the caches. Of fewer scans, calls cost more.
+_AT_ONCE, _LEAST = 1 << 16, 8
 _LARGE = 0.01  # errors beyond which lines may be better than series
 
 
@@ -34,23 +35,42 @@ class BatchNetwork:
 
     def __init__(self, layers: list[Layer]) -> None:
         self._layers = [
-            (x.weights.astype(float), x.biases.astype(float)[:, None], x.activation) for x in layers
+            (x.weights.astype(float), x.biases.astype(float), x.activation) for x in layers
         ]
+        self._width = max(len(x.weights) for x in layers)
+
+    def at_once(self, entries: int) -> int:
+        """Return how many scans of so many entries it follows best together."""
+        return max(_LEAST, _AT_ONCE // (self._width * entries))
 
     def steering(self, scans: Sequence[Balls]) -> list[Model | None]:
         """Return the steering (rad) for each scan (m), None where it has no bounds.
 
-        scans: settled models ``[rays, entries]``, all of the same symbols; best AT_ONCE of them.
+        scans: settled models ``[rays, entries]``, of the same symbols; best ``at_once`` of them.
         """
-        z = Balls(*map(np.array, zip(*scans, strict=True)))
+        z = by_entry(Balls(*map(np.array, zip(*scans, strict=True))))
         with np.errstate(all="ignore"):
             for weights, biases, activation in self._layers:
-                z = balls.product(weights, z)
-                first = add(z.at(..., slice(0, 1)), exact(biases))
-                z = settled(joined([first, z.at(..., slice(1, None))]))
+                z = _affine(weights, biases, z)
                 z = settled(_ACTIVATIONS[activation](z)) if activation else z
         known = np.isfinite(z.middle + z.radius).all(axis=(1, 2))
         return [balls.to_arb(z.at(k, 0)) if known[k] else None for k in range(len(scans))]
+
+
+def _affine(weights: NDArray, biases: NDArray, z: Balls) -> Balls:
+    """Return weights z + biases, settled, for settled models by entry.
+
+    The errors of all entries are in one sum, as in ``balls.product`` those of each.
+    """
+    middle = np.moveaxis(z.middle, -1, 0) @ weights.T
+    first = add(exact(middle[0]), exact(biases))
+    middle[0] = first.middle
+    n = sum(weights.shape) + z.middle.shape[-1]  # more than the terms of any sum
+    share = (n + 8) * balls.U * (1 + 2.0**-20)
+    sizes = z.radius[..., -1] + share * np.abs(z.middle).sum(-1)
+    radius = np.zeros_like(middle)
+    radius[-1] = (sizes @ np.abs(weights).T + first.radius) * (1 + 2 * share) + balls.TINY
+    return Balls(np.moveaxis(middle, 0, -1), np.moveaxis(radius, 0, -1))
 
 
 # --- activations ------------------------------------------------------------------------------

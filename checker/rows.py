@@ -13,7 +13,7 @@ from checker.balls import Balls
 from checker.batch import of_models, of_rows
 from checker.batch_inclusion import hold_images
 from checker.batch_lidar import readings
-from checker.batch_network import AT_ONCE, BatchNetwork
+from checker.batch_network import BatchNetwork
 from checker.batch_step import Arcs
 from checker.files import Certificate, GuardKind, Instance, Kind, Rejected, Row, Unreadable, require
 from checker.forest import WIDER, Assumed, Forest
@@ -72,6 +72,8 @@ class Checker:
         few = cert.symbols == 3 and not self.sensors.apart
         require(few or cert.symbols >= KNOWN + 3, f"{cert.symbols} symbols do not fit the instance")
         self.sensors.apart = not few
+        m = cert.symbols + (self.sensors.rays.count if self.sensors.apart else 0)
+        self._at_once = self._batch.at_once(TERMS + 2 * m + 1)
         require(self.margin > 0, "the claimed margin is not positive")
         unknown = sorted(self.sensors.unknown)
         require(not unknown, f"nothing can be proved of a disturbance by {', '.join(unknown)}")
@@ -195,7 +197,7 @@ class Checker:
     def _answers(self, indices: list[int]) -> dict[int, list[Model]]:
         """Return the network's answers to the scans of rows, of those for which it has bounds."""
         ahead, found, lost = self._scans_ahead(indices), dict[int, list[Model]](), set[int]()
-        while batch := list(islice(ahead, AT_ONCE)):
+        while batch := list(islice(ahead, self._at_once)):
             answers = self._batch.steering([scan for _, scan in batch])
             for (i, _), answer in zip(batch, answers, strict=True):
                 if answer is None:
