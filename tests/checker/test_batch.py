@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_arithmetic import filled, member, places, some
 
-from checker import balls, batch, models
+from checker import balls, batch, batch_network, models
+from checker.balls import Balls
 from checker.batch_network import BatchNetwork
 from checker.files import Layer
 from checker.models import KNOWN, ONE, symbols
@@ -140,3 +142,25 @@ def test_what_overflows_has_no_answer():
     scan = [some(np.random.default_rng(0), 2.0, 1.0)]
     scan[0][1] = ONE * 1e300
     assert BatchNetwork([huge, huge]).steering([batch.of_models(scan)]) == [None]
+
+
+@given(SEEDS, st.integers(1, 30), SYMBOLS)
+def test_the_rest_of_a_layer_s_sums_holds_their_rounding(seed, inputs, count):
+    """All entries of a sum may be off at once: x and the symbols are at most 1."""
+    random = np.random.default_rng(seed)
+    weights = 10.0 ** random.uniform(-6, 3, (2, inputs)) * random.choice([-1, 1], (2, inputs))
+    biases = random.normal(size=2) * 10.0 ** random.uniform(-6, 3, 2)
+    entries = models.TERMS + 2 * count + 1
+    middle = random.normal(size=(2, inputs, entries)) * 10.0 ** random.uniform(-9, 2, entries)
+    z = batch.settled(Balls(middle, np.zeros_like(middle)))
+    z.radius[..., -1] *= random.choice([0, 1])
+    found = batch_network._affine(weights, biases, batch.by_entry(z))
+    exact = np.vectorize(Fraction, otypes=[object])
+    for k, row in np.ndindex(2, 2):
+        sums = exact(weights[row]) @ exact(z.middle[k])
+        sums[0] += Fraction(biases[row])
+        off = sum(abs(x - y) for x, y in zip(sums, exact(found.middle[k, row]), strict=True))
+        least = off + exact(np.abs(weights[row])) @ exact(z.radius[k, :, -1])
+        rest = Fraction(found.radius[k, row, -1])
+        assert least <= rest <= least * (1 + Fraction(1, 2**30)) + Fraction(1, 10**6)
+        assert not found.radius[k, row, :-1].any()
