@@ -53,7 +53,8 @@ def _less(images: Balls, centre: NDArray, carried: NDArray) -> Balls:
 def _inverse(a: NDArray) -> NDArray:
     """Return matrices near the (pseudo)inverses; any will do."""
     sizes = np.abs(a).sum(axis=1)
-    scale = np.where(sizes > 0, 1 / np.where(sizes > 0, sizes, 1), 0)
+    there = sizes > balls.TINY  # whose reciprocals are finite
+    scale = np.where(there, 1 / np.where(there, sizes, 1), 0)
     return np.asarray(scale[..., None] * np.linalg.pinv(a * scale[:, None], rcond=1e-13))
 
 

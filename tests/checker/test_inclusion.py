@@ -135,6 +135,18 @@ def test_a_carried_symbol_stays_itself(prove, least, gap, seed, symbol, componen
         prove(models_of(row._replace(spread=more)), row, 3)
 
 
+@pytest.mark.parametrize("size", [5e-324, 1e-310, 1e-290, 1e290, 1e308])
+@pytest.mark.parametrize("column", [0, 2])
+def test_symbols_of_extreme_lengths_prove_nothing_in_doubles(size, column):
+    row = skew(np.random.default_rng(4))
+    inner = of_models(models_of(row._replace(spread=1.1 * row.spread)))
+    spread = row.spread.copy()
+    spread[:, column, 0] = size
+    with np.errstate(all="ignore"):
+        found = hold_images(Balls(*(x[None] for x in inner)), [row._replace(spread=spread)], 0)
+    assert not found.any()
+
+
 @given(SEEDS, st.integers(0, 3), st.floats(-1, 0.4), st.sampled_from([3, 12]))
 def test_a_part_of_the_domain_is_held_against_the_same_part_of_the_image(
     seed, parameter, low, count
