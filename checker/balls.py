@@ -153,14 +153,6 @@ def reciprocal(x: Balls) -> Balls:
     return Balls(both.middle, np.where(one_sign, (both.radius + rounding) * UP + TINY, np.inf))
 
 
-def total(x: Balls) -> Balls:
-    """Return sums along the last axis."""
-    n = x.middle.shape[-1]
-    middle = x.middle.sum(-1)
-    radius = (x.radius + n * U * UP * np.abs(x.middle)).sum(-1)
-    return Balls(middle, radius * (1 + n * U) * UP + TINY)
-
-
 def product(matrix: NDArray, x: Balls) -> Balls:
     """Return matrix @ x, for matrices (..., rows, columns) of doubles and x (..., columns, k).
 

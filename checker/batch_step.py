@@ -29,7 +29,6 @@ from checker.balls import (
 from checker.batch import (
     apply,
     cosine,
-    parts,
     product,
     range_of,
     riccati,
@@ -121,13 +120,10 @@ def _number(value: arb) -> Balls:
 
 def _longer(z: Balls) -> Balls:
     """Return models with one symbol more, the last, that they do not move with."""
-    p, a, b, rest = parts(z)
-    none = np.zeros((*rest.shape, 1))
-    middle = [*(x.middle[..., None] for x in p), a.middle, none, b.middle, none, none]
-    middles = np.concatenate(middle, axis=-1)
-    radii = np.zeros_like(middles)
-    radii[..., -1] = rest
-    return Balls(middles, radii)
+    entries = z.middle.shape[-1]
+    m = (entries - models.TERMS - 1) // 2
+    places = [entries - 1 - m, entries - 1]
+    return Balls(*(np.insert(x, places, 0.0, axis=-1) for x in z))
 
 
 def _tan_taylor(y: Balls, n: int) -> list[Balls]:

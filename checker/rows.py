@@ -240,7 +240,9 @@ class Checker:
     def _driven(self, answers: dict[int, list[Model]]) -> set[int]:
         """Return which rows' answers surely take them safely into their images, as doubles tell."""
         found: set[int] = set()
-        for frame in {} if self._motion.slip else {self.rows[i].frame for i in answers}:
+        if self._motion.slip:
+            return found
+        for frame in {self.rows[i].frame for i in answers}:
             mine = [i for i in answers if self.rows[i].frame == frame]
             states = of_rows([self.rows[i] for i in mine])
             with np.errstate(all="ignore"):

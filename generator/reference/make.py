@@ -133,7 +133,7 @@ def _check_refuted(proved: Sequence[Question], work: Work, results: Results) -> 
     checks = work.check([question.entry for question in proved])
     for question in proved:
         row = results.rows[question.id]
-        if (checks[question.id].proved or 0) > 0:
+        if checks[question.id].proved is not None:
             raise Contradiction(row.source, question.id, question.id)
         method = f"{row.method}, against a proof that was not accepted"
         results.rows[question.id] = replace(row, method=method)

@@ -67,12 +67,6 @@ def test_bounds_are_bounds(x, y, s):
         assert contains(balls.clip(one(x), 0.0, 1.0), value)
 
 
-@given(st.lists(st.tuples(BALL, SHARES), min_size=1, max_size=40))
-def test_sums_contain_the_exact_sum(terms):
-    stack = Balls(*(np.array([[ball[k] for ball, _ in terms]]) for k in (0, 1)))
-    assert contains(balls.total(stack), sum((member(b, s) for b, s in terms), Fraction(0)))
-
-
 @given(st.integers(0, 2**32), st.integers(1, 150), st.sampled_from([1.0, 1e-160, 1e80]))
 def test_products_with_a_matrix_contain_the_exact_product(seed, n, scale):
     """Also where all but rounding cancels."""
