@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from quick_root import NAME, make_root
 
 from generator.cli import main
 from generator.reference import runs
@@ -15,10 +15,7 @@ from generator.reference.make import Contradiction, load_questions, make
 from generator.reference.rows import REFERENCE
 from generator.reference.runs import Outcome, Work
 from harness.catalogue import load_category
-from racecar.instance import load_instance, save_instance
 
-CHECKOUT = Path(__file__).resolve().parents[3]
-NAME = "TD3_L21_64x64_C1"
 REFUTED, BESIDE, SHORTER = (
     f"{NAME}.quick.{rest}.clearance" for rest in ("nose05", "beside", "shorter")
 )
@@ -54,19 +51,15 @@ class Liar(Work):
 def root(tmp_path_factory):
     """A root with a refuted instance, another from a wider start set, and a shorter one."""
     root = tmp_path_factory.mktemp("root")
-    folder = root / "benchmarks" / "quick"
-    (folder / "json").mkdir(parents=True)
-    (root / "onnx").mkdir()
-    shutil.copy(CHECKOUT / "onnx" / f"{NAME}.onnx", root / "onnx")
-    shutil.copy(CHECKOUT / "benchmarks" / "quick" / "json" / f"{REFUTED}.json", folder / "json")
-    first = load_instance(folder / "json" / f"{REFUTED}.json")
-    wider = first.initial_set.model_copy(update={"s": (0.5, 0.56)})
-    beside = first.model_copy(update={"id": BESIDE, "steps": 4, "initial_set": wider})
-    shorter = first.model_copy(update={"id": SHORTER, "steps": 1})
-    for instance in (beside, shorter):
-        save_instance(instance, folder / "json" / f"{instance.id}.json")
-    lines = [f"../../onnx/{NAME}.onnx,json/{id}.json,60\n" for id in (REFUTED, BESIDE, SHORTER)]
-    (folder / "instances.csv").write_text("".join(lines))
+
+    def derive(first):
+        wider = first.initial_set.model_copy(update={"s": (0.5, 0.56)})
+        return (
+            first.model_copy(update={"id": BESIDE, "steps": 4, "initial_set": wider}),
+            first.model_copy(update={"id": SHORTER, "steps": 1}),
+        )
+
+    make_root(root, dict.fromkeys((REFUTED, BESIDE, SHORTER), 60), REFUTED, derive)
     return root
 
 

@@ -7,10 +7,10 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from quick_root import CHECKOUT, NAME, make_root
 
 from generator.cli import main
 from generator.reference.rows import COLUMNS, REFERENCE, WITNESSES, Row, read_rows
@@ -18,10 +18,7 @@ from generator.reference.verify import margin_fault
 from harness.catalogue import load_references
 from harness.records import Verdict
 from harness.scoring import INCORRECT, Claim, score
-from racecar.instance import load_instance, save_instance
 
-CHECKOUT = Path(__file__).resolve().parents[3]
-NAME = "TD3_L21_64x64_C1"
 PROVED, IMPLIED, REFUTED = (
     f"{NAME}.quick.{rest}.clearance" for rest in ("straight05", "straight03", "nose05")
 )
@@ -37,19 +34,12 @@ def made(tmp_path_factory):
     """A root with three instances and their results, and the work folder."""
     base = tmp_path_factory.mktemp("reference")
     root, work = base / "root", base / "work"
-    folder = root / "benchmarks" / "quick"
-    (folder / "json").mkdir(parents=True)
-    (root / "onnx").mkdir()
-    shutil.copy(CHECKOUT / "onnx" / f"{NAME}.onnx", root / "onnx")
-    lines = []
-    for id in (PROVED, REFUTED):
-        shutil.copy(CHECKOUT / "benchmarks" / "quick" / "json" / f"{id}.json", folder / "json")
-    whole = load_instance(folder / "json" / f"{PROVED}.json")
-    shorter = whole.model_copy(update={"id": IMPLIED, "steps": 3})
-    save_instance(shorter, folder / "json" / f"{IMPLIED}.json")
-    for id in (PROVED, IMPLIED, REFUTED):
-        lines.append(f"../../onnx/{NAME}.onnx,json/{id}.json,60\n")
-    (folder / "instances.csv").write_text("".join(lines))
+    make_root(
+        root,
+        dict.fromkeys((PROVED, IMPLIED, REFUTED), 60),
+        PROVED,
+        lambda whole: [whole.model_copy(update={"id": IMPLIED, "steps": 3})],
+    )
     done = run(root, work, "--json")
     assert done.exit_code == 0, done.output
     counts = {"category": "quick", "sat": 1, "unsat": 2, "unknown": 0}
@@ -67,20 +57,13 @@ def test_one_proof_stands_for_the_shorter_question_too(made):
 
 def test_a_witness_settles_what_was_tried_beside_it_and_not_found(tmp_path):
     root, work = tmp_path / "root", tmp_path / "work"
-    folder = root / "benchmarks" / "quick"
-    (folder / "json").mkdir(parents=True)
-    (root / "onnx").mkdir()
-    shutil.copy(CHECKOUT / "onnx" / f"{NAME}.onnx", root / "onnx")
-    shutil.copy(CHECKOUT / "benchmarks" / "quick" / "json" / f"{REFUTED}.json", folder / "json")
-    first = load_instance(folder / "json" / f"{REFUTED}.json")
-    wider = first.initial_set.model_copy(update={"s": (0.5, 0.56)})
-    beside = first.model_copy(update={"id": IMPLIED, "steps": 4, "initial_set": wider})
-    save_instance(beside, folder / "json" / f"{IMPLIED}.json")
-    lines = [
-        f"../../onnx/{NAME}.onnx,json/{id}.json,{limit}\n"
-        for id, limit in ((REFUTED, 60), (IMPLIED, 0.1))  # the second ends before Python starts
-    ]
-    (folder / "instances.csv").write_text("".join(lines))
+
+    def derive(first):
+        wider = first.initial_set.model_copy(update={"s": (0.5, 0.56)})
+        return [first.model_copy(update={"id": IMPLIED, "steps": 4, "initial_set": wider})]
+
+    limits = {REFUTED: 60, IMPLIED: 0.1}  # the second ends before Python starts
+    folder = make_root(root, limits, REFUTED, derive)
     done = run(root, work, "--json")
     assert done.exit_code == 0, done.output
     row = read_rows(folder)[IMPLIED]
